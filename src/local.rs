@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use datasets_spec::store::{is_url, replace_file};
+use datasets_spec::dataset::Staging;
+use datasets_spec::store::{Disk, is_url, replace_file};
 use serde::de::DeserializeOwned;
 
 /// Parses a path and refuses a URL: datasets and sources can be remote, runs, exports and stores cannot.
@@ -35,6 +36,39 @@ pub(crate) fn read_json<T: DeserializeOwned>(path: &Path, problem: &str) -> anyh
 
 pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
     fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Checks that a file which a user names for a result would replace nothing, and would not lie in a dataset, whose
+/// folders hold nothing but what its manifests name.
+///
+/// # Errors
+/// `E-OCCUPIED`.
+pub(crate) fn check_new(path: &Path) -> anyhow::Result<()> {
+    let refuse = |reason: String| {
+        let path = path.display().to_string();
+        let reason = format!("{path} {reason}");
+        let code = Some(("E-OCCUPIED", Some(path)));
+        Err(pipeline::Error::Refused { code, reason }.into())
+    };
+    if path.exists() {
+        return refuse("exists already; name another file, or move it away".to_owned());
+    }
+    // Links may lead into a dataset; folders that do not exist yet lead nowhere.
+    let absolute = std::path::absolute(path)?;
+    let mut above = absolute.ancestors().skip(1);
+    let folder = above.find_map(|folder| fs::canonicalize(folder).ok());
+    let mut around = folder.iter().flat_map(|folder| folder.ancestors());
+    let is_dataset = |folder: &&Path| {
+        let newest = Staging::newest_version(&Disk, folder);
+        newest.is_ok_and(|version| version > 0)
+    };
+    match around.find(is_dataset) {
+        Some(dataset) => refuse(format!(
+            "would lie in the dataset {}; name a file outside of it",
+            dataset.display()
+        )),
+        None => Ok(()),
+    }
 }
 
 /// Writes a file, which appears completely or not at all.

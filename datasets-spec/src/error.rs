@@ -86,7 +86,7 @@ pub enum Error {
         supported: &'static str,
     },
     /// A file differs from what the manifest records.
-    #[error("{} does not match its manifest ({detail}); restore the file or ingest again", path.display())]
+    #[error("{} does not match its manifest ({detail}); put back a copy of the file, go back to a version without it (`stance dataset restore`), or ingest the sources, or what is left of this dataset, into a new folder", path.display())]
     Corrupt {
         /// The file.
         path: PathBuf,

@@ -14,6 +14,9 @@ pub const SPLIT_BY_FACT: &str = "split_by";
 /// project. It stays when a dataset grows; see [`Manifest::rejected_pairs`].
 pub const REJECTED_PAIRS_FACT: &str = "rejected_pairs";
 
+/// Beginning of the keys of facts that say what annotation projects wrote into a dataset. They stay when it grows.
+pub const ANNOTATE_FACTS: &str = "annotate_";
+
 /// The type of [`Manifest::rejected_pairs`].
 pub type RejectedPairs = BTreeMap<String, BTreeSet<[MotionId; 2]>>;
 

@@ -8,7 +8,7 @@ use datasets_spec::{Dataset, Skeleton};
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::rows::{EditFacts, Rows};
+use crate::rows::{EditFacts, ItemFacts, Rows};
 
 /// Number of items whose motions, and everything computed from them, are in memory together. It is a multiple of the
 /// encoders' batch sizes, so that each batch is full.
@@ -39,7 +39,8 @@ impl Answered {
     /// files; those of the items are read from the first folder.
     ///
     /// # Errors
-    /// No folder is given, one cannot be read, or two folders hold different items or skeletons.
+    /// No folder is given, one cannot be read, or two folders hold different items or skeletons, or state other
+    /// novelties of an item.
     pub fn read(folders: &[PathBuf]) -> Result<Self, Error> {
         let mut all: Option<(&Path, Self)> = None;
         for path in folders {
@@ -165,6 +166,23 @@ impl Answered {
                 ours.len(),
                 theirs.difference(&ours).count(),
                 theirs.len()
+            )));
+        }
+        // The id of an item does not cover its novelty, and rows of one table are parted by one novelty.
+        let novelty = |item: &ItemFacts| (item.id.clone(), item.novelty.clone());
+        let stated: BTreeMap<_, _> = other.items.facts().iter().map(novelty).collect();
+        let differing = self.items.facts().iter().find_map(|item| {
+            let other = &stated[&item.id];
+            (*other != item.novelty).then_some((item, other))
+        });
+        if let Some((item, other)) = differing {
+            let [own, other] =
+                [&item.novelty, other].map(|novelty| novelty.as_deref().unwrap_or("not known"));
+            return Err(Error::Invalid(format!(
+                "by {first}, the novelty of item {:?} is {own}, and by {second} {other}: their items were drawn from other \
+                 datasets or by other versions of this program; draw the items once, and edit or import into new folders \
+                 with these --items",
+                item.id
             )));
         }
         // An item whose content differs is another item, even under the same id.

@@ -27,14 +27,15 @@ pub struct WindowTimes {
     pub batch: Option<f64>,
 }
 
-/// File beside a table of edits with the times of making it. The hash of the table does not include it.
+/// File beside a table of edits with the times of making it. The hash of the table does not include it. It is removed
+/// when other edits take their place.
 pub const TIMES: &str = "times.json";
 
 impl WindowTimes {
     /// Reads the times recorded beside a table of edits.
     ///
     /// # Errors
-    /// The file is missing or malformed.
+    /// The file is missing, as beside imported edits, or malformed.
     pub fn read(edits: &Path) -> Result<Self, Error> {
         let path = edits.join(TIMES);
         let parsed = ByPath
@@ -59,6 +60,11 @@ impl WindowTimes {
             path: path.clone(),
             source,
         })
+    }
+
+    /// Whether windows were timed: some systems, such as the nearest neighbour, generate none.
+    pub fn is_known(&self) -> bool {
+        self.window > 0
     }
 
     /// The sum of the three stages.
@@ -102,8 +108,8 @@ pub fn published() -> impl Iterator<Item = (String, WindowTimes)> {
     rows.map(|times| ("RTX 3090 (published)".to_owned(), times))
 }
 
-/// Lays named rows out as Table A4: one table of latencies, one of times shared by a batch. A table
-/// without rows is left out.
+/// Lays named rows out as Table A4: one table of latencies, one of times shared by a batch. Rows without times, and a
+/// table without rows, are left out.
 pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
     let part = |title: &str, wanted: &dyn Fn(&WindowTimes) -> bool| Grid {
         title: title.to_owned(),
@@ -120,7 +126,7 @@ pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
         .to_vec(),
         rows: rows
             .iter()
-            .filter(|(_, times)| wanted(times))
+            .filter(|(_, times)| times.is_known() && wanted(times))
             .map(|(name, times)| {
                 let batch = times.batch.map_or("–".to_owned(), |batch| {
                     // Averages are whole numbers unless the last batches are smaller.
@@ -181,6 +187,8 @@ mod tests {
             row("alone", batch(Some(1.0))),
             row("together", batch(Some(42.5))),
             row("before", batch(None)),
+            // A system that generates no windows.
+            row("untimed", WindowTimes { window: 0, ..alone }),
         ]);
         let check = |grid: &Grid, title: &str, names: &[&str]| {
             assert!(grid.title.starts_with(title), "{}", grid.title);

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
-use datasets_spec::manifest::{Accounting, FileEntry, plan_hash};
+use datasets_spec::manifest::{
+    Accounting, FileEntry, REJECTED_PAIRS_FACT, RejectedPairs, plan_hash,
+};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
@@ -14,11 +16,14 @@ use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split, Transaction};
 use serde::Serialize;
 
 use crate::Error;
-use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::annotation::pairs::is_from_labels;
+use crate::clip_table::{CLIP_TABLES, ClipRow, clip_facts};
 use crate::facts::json;
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
-use crate::versions::Labels;
+use crate::versions::{
+    Labels, is_mask_of_people, is_mask_of_source, is_pair_judged, is_pair_of_people,
+};
 
 /// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]
@@ -36,6 +41,11 @@ pub struct Merged {
     pub license_warning: Option<String>,
     /// Ids of pairs that were dropped, because their motions are in two splits now.
     pub dropped_labels: Vec<String>,
+    /// Numbers of automatic masks and pairs of clips of both datasets that gave way to labels of the other dataset, by
+    /// table.
+    pub gave_way: BTreeMap<String, u64>,
+    /// Ids of pairs that were dropped, because people rejected them in one of the datasets and nobody accepted them.
+    pub rejected: Vec<String>,
     /// Hash of the result.
     pub root_hash: String,
 }
@@ -116,19 +126,16 @@ impl<'a> Part<'a> {
                 ..row
             });
         }
-        skipped.extend(self.shared.iter().map(|id| SkippedRow {
-            path: self.path(id.as_str()),
-            source_name: String::new(),
-            source_hash: String::new(),
-            inputs_hash: String::new(),
-            reason: "clip of both merged datasets".to_owned(),
-        }));
+        let clips = clip_facts(self.dataset)?.into_iter().map(|(_, clip)| clip);
+        let shared = clips.filter(|clip| self.shared.contains(&clip.id));
+        skipped.extend(shared.map(|clip| self.sources.shared_row(clip)));
         Ok(())
     }
 }
 
 /// Merges `second` into a copy of `first` and commits the result at `out`, a new folder. All clips of the
-/// first keep their ids, splits and labels.
+/// first keep their ids and splits, and their labels except automatic ones that give way to those of people. What people
+/// rejected in either stays rejected.
 ///
 /// # Errors
 /// The datasets differ in their skeleton, rate, resampling or features, `out` is a dataset already, or reading or
@@ -162,8 +169,13 @@ pub fn merge(
     let licenses = license::count(transaction.root(), motions)?;
     facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     let splits = splits(&parts, &clips);
-    let (labels, dropped_labels) = labels(&parts, &splits)?;
-    tables.extend(labels.write(&Labels::default(), &transaction, &skeleton, &plan)?);
+    let rejected = rejected(&parts);
+    let labels = labels(&parts, &splits, &rejected)?;
+    if !rejected.is_empty() {
+        facts.insert(REJECTED_PAIRS_FACT.to_owned(), json(&rejected));
+    }
+    let rows = &labels.rows;
+    tables.extend(rows.write(&Labels::default(), &transaction, &skeleton, &plan)?);
     let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
     for part in parts {
         part.passed_over(&mut quarantine, &mut skipped)?;
@@ -192,7 +204,7 @@ pub fn merge(
         facts,
         ..Commit::default()
     })?;
-    progress.finish(&format!("{num_clips} clips"));
+    progress.finish(&format!("{num_clips} clips{}", labels.says()));
     let names = |(from, to): (&MotionId, &MotionId)| (from.to_string(), to.to_string());
     Ok(Merged {
         clips: num_clips,
@@ -204,7 +216,9 @@ pub fn merge(
             .map(|(id, split)| (added.id(id).to_string(), *split))
             .collect(),
         license_warning: license::warning(&licenses),
-        dropped_labels,
+        dropped_labels: labels.parted,
+        gave_way: labels.gave_way,
+        rejected: labels.rejected.into_iter().collect(),
         root_hash: dataset.manifest().root_hash.clone(),
     })
 }
@@ -383,32 +397,162 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
     splits
 }
 
-/// The labels of both datasets, and the ids of dropped pairs, whose motions are in two splits now.
-fn labels(
-    parts: &[&Part<'_>],
-    splits: &BTreeMap<MotionId, Split>,
-) -> Result<(Labels, Vec<String>), Error> {
-    let mut labels = Labels::default();
-    let mut dropped = Vec::new();
+/// Source and target of the pairs that people rejected in either dataset, by annotation project.
+fn rejected(parts: &[&Part<'_>; 2]) -> RejectedPairs {
+    let mut all = RejectedPairs::new();
     for part in parts {
+        for (project, pairs) in part.dataset.manifest().rejected_pairs() {
+            let pairs = pairs
+                .iter()
+                .map(|clips| clips.each_ref().map(|id| part.id(id)));
+            all.entry(project).or_default().extend(pairs);
+        }
+    }
+    all
+}
+
+/// The labels of both datasets, and those that the result does not take.
+#[derive(Default)]
+struct MergedLabels {
+    rows: Labels,
+    /// Ids of pairs whose motions are in two splits now.
+    parted: Vec<String>,
+    rejected: BTreeSet<String>,
+    gave_way: BTreeMap<String, u64>,
+}
+
+impl MergedLabels {
+    /// How many were not taken, in words; empty if all were.
+    fn says(&self) -> String {
+        let gave_way = self.gave_way.iter().map(|(table, count)| {
+            format!("; {count} automatic {table} gave way to those of the other dataset")
+        });
+        let mut text: String = gave_way.collect();
+        if !self.rejected.is_empty() {
+            text += &format!("; {} pairs that people rejected left", self.rejected.len());
+        }
+        text
+    }
+}
+
+/// The labels of both datasets. Pairs that people rejected in either are not taken, unless a person accepted them, nor
+/// are pairs whose motions are in two splits now. Of clips that both have, the second dataset gives automatic labels
+/// only where the first has none, and labels that only one of them has from people replace automatic ones of the other.
+fn labels(
+    parts: &[&Part<'_>; 2],
+    splits: &BTreeMap<MotionId, Split>,
+    rejected: &RejectedPairs,
+) -> Result<MergedLabels, Error> {
+    let mut labels = MergedLabels::default();
+    let rejected: BTreeSet<&[MotionId; 2]> = rejected.values().flatten().collect();
+    let mut masks: [Vec<MaskRow>; 2] = Default::default();
+    let mut pairs: [Vec<PairRow>; 2] = Default::default();
+    for (number, part) in parts.iter().enumerate() {
         for mut mask in part.dataset.read::<MaskRow>(None)? {
             mask.motion_id = part.id(&mask.motion_id);
             mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
-            insert(&mut labels.masks, mask, &part.label, |mask| &mut mask.id);
+            masks[number].push(mask);
         }
         for mut pair in part.dataset.read::<PairRow>(None)? {
             pair.source_id = part.id(&pair.source_id);
             pair.target_id = part.id(&pair.target_id);
+            if !is_pair_judged(&pair) && rejected.contains(&clips_of(&pair)) {
+                labels.rejected.insert(pair.id);
+                continue;
+            }
             let split = splits.get(&pair.target_id).copied();
             if split != splits.get(&pair.source_id).copied() {
-                dropped.push(pair.id);
+                labels.parted.push(pair.id);
                 continue;
             }
             pair.split = split.unwrap_or(pair.split);
-            insert(&mut labels.pairs, pair, &part.label, |pair| &mut pair.id);
+            pairs[number].push(pair);
         }
     }
-    Ok((labels, dropped))
+    let described = Labelled::of(&masks, |mask| mask.motion_id.clone(), is_mask_of_people);
+    let parts_of = |mask: &MaskRow| (mask.motion_id.clone(), mask.parts.clone());
+    let masked = Labelled::of(&masks, parts_of, is_mask_of_people);
+    let gives_way = |number: usize, mask: &MaskRow| {
+        let is_automatic = !is_mask_of_people(mask) && !is_mask_of_source(mask);
+        is_automatic
+            && match described.is_of_people(&mask.motion_id) {
+                // People describe a clip by all its masks: no automatic mask brings back a part that they left out.
+                [true, false] => number == 1,
+                [false, true] => number == 0,
+                _ => masked.replaces(number, &parts_of(mask)),
+            }
+    };
+    let table = &mut labels.rows.masks;
+    let masks = take(table, parts, masks, |mask| &mut mask.id, gives_way);
+    let paired = Labelled::of(&pairs, clips_of, is_pair_of_people);
+    let gives_way = |number: usize, pair: &PairRow| {
+        is_from_labels(pair) && paired.replaces(number, &clips_of(pair))
+    };
+    let table = &mut labels.rows.pairs;
+    let pairs = take(table, parts, pairs, |pair| &mut pair.id, gives_way);
+    let counts = [(MaskRow::TABLE, masks), (PairRow::TABLE, pairs)].into_iter();
+    labels.gave_way = counts
+        .filter(|(_, count)| *count > 0)
+        .map(|(table, count)| (table.to_owned(), count))
+        .collect();
+    Ok(labels)
+}
+
+fn clips_of(pair: &PairRow) -> [MotionId; 2] {
+    [pair.source_id.clone(), pair.target_id.clone()]
+}
+
+/// What the labels of each of two datasets are about: clips, parts of clips, or source and target.
+struct Labelled<K> {
+    all: [BTreeSet<K>; 2],
+    by_people: [BTreeSet<K>; 2],
+}
+
+impl<K: Ord> Labelled<K> {
+    fn of<R>(rows: &[Vec<R>; 2], about: fn(&R) -> K, is_of_people: fn(&R) -> bool) -> Self {
+        Self {
+            all: rows.each_ref().map(|rows| rows.iter().map(about).collect()),
+            by_people: rows.each_ref().map(|rows| {
+                let rows = rows.iter().filter(|row| is_of_people(row));
+                rows.map(about).collect()
+            }),
+        }
+    }
+
+    /// Whether people labelled this in each dataset.
+    fn is_of_people(&self, about: &K) -> [bool; 2] {
+        self.by_people
+            .each_ref()
+            .map(|labelled| labelled.contains(about))
+    }
+
+    /// Whether the other dataset has a label that replaces an automatic one of dataset `number`: of people, or any of
+    /// the first dataset.
+    fn replaces(&self, number: usize, about: &K) -> bool {
+        self.is_of_people(about)[1 - number] || number == 1 && self.all[0].contains(about)
+    }
+}
+
+/// Adds the rows that do not give way to a table, and returns the number of the others.
+fn take<R: PartialEq>(
+    table: &mut BTreeMap<String, R>,
+    parts: &[&Part<'_>; 2],
+    rows: [Vec<R>; 2],
+    id: fn(&mut R) -> &mut String,
+    gives_way: impl Fn(usize, &R) -> bool,
+) -> u64 {
+    let mut left = Vec::new();
+    for (number, rows) in rows.into_iter().enumerate() {
+        for row in rows {
+            match gives_way(number, &row) {
+                true => left.push(row),
+                false => insert(table, row, &parts[number].label, id),
+            }
+        }
+    }
+    // Of two equal rows one is taken, and none gave way.
+    left.retain_mut(|row| table.get(id(row)) != Some(row));
+    left.len() as u64
 }
 
 /// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset.

@@ -242,8 +242,8 @@ fn measured(
 }
 
 /// Makes style pairs from the labels of a dataset and commits them beside those of its sources and of people: two clips
-/// that have a pair there get no second one, nor do those whose pair people judged unusable. Also returns the styled
-/// motions without a counterpart. With a condition, only clips that fulfil it are paired, and pairs of other clips stay
+/// that have a pair there get no second one, nor do those whose pair people judged unusable. Earlier pairs of labels make
+/// room, unless nothing takes their place. Also returns the styled motions without a counterpart. With a condition, only clips that fulfil it are paired, and pairs of other clips stay
 /// as they are.
 ///
 /// # Errors
@@ -270,11 +270,15 @@ pub fn pairs(
         Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok((dataset, Vec::new())),
         chosen => chosen?,
     };
-    let made = style_pairs(&LabelledClip::read(&chosen)?, config, seed);
+    let mut made = style_pairs(&LabelledClip::read(&chosen)?, config, seed);
     let before: Vec<PairRow> = dataset.read(None)?;
     let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
     let mut rows = before.clone();
-    rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
+    // A release that was ingested brings pairs of labels whose clips now lie in folders that do not belong together.
+    let alone: BTreeSet<MotionId> = made.alone.iter().cloned().collect();
+    rows.retain(|row| !is_from_labels(row) || !is_chosen(row) || alone.contains(&row.target_id));
+    let paired: BTreeSet<&MotionId> = rows.iter().map(|row| &row.target_id).collect();
+    made.alone.retain(|id| !paired.contains(id));
     let rejected = dataset.manifest().rejected_pairs().into_values().flatten();
     let new = new_pairs(made.rows, &rows, rejected.collect());
     rows.extend(new);
@@ -321,7 +325,8 @@ pub fn listed_pairs(
         .iter()
         .cloned()
         .partition(|row| row.source == pairs::LISTED);
-    let made = list.pairs(&motions, &known);
+    let rejected = dataset.manifest().rejected_pairs().into_values().flatten();
+    let made = list.pairs(&motions, &known, &rejected.collect());
     let mut rows: BTreeMap<String, PairRow> = listed
         .into_iter()
         .chain(known)
@@ -364,7 +369,7 @@ pub struct ItemsFolder {
 /// Draws test questions from a split and commits them as a dataset of their own.
 ///
 /// # Errors
-/// The split cannot be composed, or the folder cannot be written.
+/// The split cannot be composed, the folder holds edits, or it cannot be written.
 pub fn items(
     dataset: &Dataset,
     out: &Path,
@@ -374,14 +379,20 @@ pub fn items(
     context: &Context<'_>,
 ) -> Result<ItemsFolder, Error> {
     let content = dataset.content_hash(&COMPOSED);
-    let plan = plan_hash("items", &(content, split, config, seed));
-    if let Ok(done) = Dataset::open_unverified(out)
-        && done.manifest().plan(ItemRow::TABLE) == plan
-    {
-        return Ok(ItemsFolder {
-            dataset: Dataset::open(out)?,
-            fewer: None,
-        });
+    // Version 0.2 took the novelty of items of chosen clips from these clips alone.
+    let stage = match dataset.condition() {
+        Some(_) => "items-2",
+        None => "items",
+    };
+    let plan = plan_hash(stage, &(content, split, config, seed));
+    if let Ok(held) = Dataset::open_unverified(out) {
+        if held.manifest().plan(ItemRow::TABLE) == plan {
+            return Ok(ItemsFolder {
+                dataset: Dataset::open(out)?,
+                fewer: None,
+            });
+        }
+        work::refuse_items(&held)?;
     }
     let progress = context.progress;
     progress.begin("draw", None);

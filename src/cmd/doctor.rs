@@ -11,8 +11,9 @@ use crate::global::Global;
 
 /// Report what folders contain, what is missing, and what ingestion will cost.
 ///
-/// Formats, releases, their missing files and where to get them, and the cost of ingestion are printed. Only the first
-/// bytes, labels and licences of files are read, but marker captures are read completely. Nothing is written.
+/// Formats, releases, their missing files and where to get them, and the cost of ingestion are printed. Labels,
+/// licences and marker captures are read completely, releases as far as it takes to count their clips, and of other
+/// files the first bytes. Nothing is written.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to look at

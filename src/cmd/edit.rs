@@ -10,10 +10,11 @@ use datasets_spec::{Dataset, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
+use eval::names::GIVEN;
 use pipeline::open::{clip_of_file, stored_clip};
 use train::checkpoint::Slot;
 use train::history::{EditHistory, HistoryStep};
-use train::registry::open_system;
+use train::registry::{has_frozen_text, open_system};
 use train::sample::{EditTimes, FitMethod, TimedInstruction};
 use train::system::{
     EditConfig, EditSystem, Edited, Misfit, Remarks, SystemIdentity, SystemSource, edit_layers,
@@ -91,10 +92,11 @@ pub(crate) struct Args {
     #[arg(long, conflicts_with_all = ["motion", "text", "during", "history", "dataset"])]
     items: Option<PathBuf>,
     /// Name of the system in tables [default: made from what differs from the preset]
-    #[arg(long)]
+    #[arg(long, value_parser = system_name)]
     name: Option<String>,
     /// Number of edits of every item, with the sampling seeds --seed, --seed + 1 and so on
-    #[arg(long, value_name = "N", default_value_t = 1, requires = "items", value_parser = clap::value_parser!(u64).range(1..))]
+    // What conflicts with --items lifts `requires = "items"`, so it is refused here too.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "items", conflicts_with_all = ["motion", "history"], value_parser = clap::value_parser!(u64).range(1..))]
     takes: u64,
     /// Windows generated in one batch; 1 measures the latency of a single window, as in Table A4
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -118,10 +120,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     history: Option<PathBuf>,
     /// Undo the last edit of --history
-    #[arg(long, requires = "history", conflicts_with_all = ["text", "during", "redo"])]
+    #[arg(long, requires = "history", conflicts_with_all = ["items", "text", "during", "redo"])]
     undo: bool,
     /// Redo the edit of --history that was undone
-    #[arg(long, requires = "history", conflicts_with_all = ["text", "during"])]
+    #[arg(long, requires = "history", conflicts_with_all = ["items", "text", "during"])]
     redo: bool,
     /// Print the time that each step took
     #[arg(long)]
@@ -134,15 +136,34 @@ pub(crate) struct Args {
     device: DeviceArgs,
 }
 
+/// Parses the name of a system: one that is no row of every table.
+pub(crate) fn system_name(text: &str) -> Result<String, String> {
+    let name = text.trim();
+    if name.is_empty() {
+        return Err("expected a name".to_owned());
+    }
+    if GIVEN.contains(&name) {
+        return Err(format!("{name:?} is a row of every table"));
+    }
+    Ok(name.to_owned())
+}
+
 impl Args {
-    fn source(&self) -> SystemSource {
-        SystemSource {
+    fn source(&self) -> anyhow::Result<SystemSource> {
+        // A plan has one text encoder for all its systems, so only one that is given to this run must be used.
+        if self.text_encoder.is_some() && !has_frozen_text(&self.run)? {
+            bail!(
+                "the run {} makes no use of --text-encoder; edit without it",
+                self.run.display()
+            );
+        }
+        Ok(SystemSource {
             run: self.run.clone(),
             slot: self.checkpoint,
             coordinator: self.coordinator.clone(),
             poses: self.poses.clone(),
             text_encoder: text_encoder(self.text_encoder.as_deref()),
-        }
+        })
     }
 
     fn config(&self) -> EditConfig {
@@ -166,7 +187,7 @@ impl Args {
     }
 
     fn system(&self, skeleton: &Skeleton) -> anyhow::Result<Box<dyn EditSystem>> {
-        let (source, config) = (self.source(), self.config());
+        let (source, config) = (self.source()?, self.config());
         Ok(open_system(&source, &config, skeleton, &device())?)
     }
 
@@ -175,7 +196,7 @@ impl Args {
         let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
             bail!("answers to items are planned: --items ITEMS --into DIR");
         };
-        let (source, config, device) = (self.source(), self.config(), self.device.to_json());
+        let (source, config, device) = (self.source()?, self.config(), self.device.to_json());
         let settings = (&config, global.seed());
         let made = plan_edits(&source, items, out, settings, device, surroundings(), plan)?;
         Ok(made)
@@ -205,7 +226,7 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
     let [out] = args.out.as_slice() else {
         bail!("items are answered in one folder; pass --out once");
     };
-    let (source, config, seed) = (args.source(), args.config(), global.seed());
+    let (source, config, seed) = (args.source()?, args.config(), global.seed());
     let made = stages::edits(items, &source, out, &config, seed, global)?;
     let manifest = made.dataset.manifest();
     let rows = manifest.rows(EditRow::TABLE, None);
@@ -247,12 +268,18 @@ fn texts<'a>(instructions: impl IntoIterator<Item = &'a TimedInstruction>) -> Ve
     instructions.map(|asked| asked.text.clone()).collect()
 }
 
-fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Motion> {
+/// The motion and its id: that of a clip, or of a file its content hash. So a result does not depend on how the path of a
+/// file is written.
+fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<(String, Motion)> {
     match &args.dataset {
         Some(dataset) if !Path::new(motion).is_file() => {
-            Ok(stored_clip(&Dataset::open_unverified(dataset)?, motion)?.motion()?)
+            let clip = stored_clip(&Dataset::open_unverified(dataset)?, motion)?;
+            Ok((clip.id.to_string(), clip.motion()?))
         }
-        _ => Ok(clip_of_file(Path::new(motion), skeleton)?),
+        _ => {
+            let motion = clip_of_file(Path::new(motion), skeleton)?;
+            Ok((motion.content_hash(), motion))
+        }
     }
 }
 
@@ -264,7 +291,7 @@ fn skeleton(args: &Args) -> anyhow::Result<Skeleton> {
     }
 }
 
-fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
+fn one(args: &Args, named: &str, global: &Global) -> anyhow::Result<Exit> {
     if args.out.is_empty() {
         bail!("say where to write: --out FILE");
     }
@@ -272,7 +299,7 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
         crate::local::check(out).map_err(anyhow::Error::msg)?;
     }
     let skeleton = skeleton(args)?;
-    let original = opened(args, id, &skeleton)?;
+    let (id, original) = opened(args, named, &skeleton)?;
     let layers = asked(args, &original);
     let texts = texts(layers.iter().flatten());
     let seed = global.seed();
@@ -280,10 +307,12 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     let remarks = remarks(&*system, &original, &texts);
     let edited = with_session(&global.bars(), |session| {
         system.prepare(&texts, session)?;
-        edit_layers(&*system, id, &original, &layers, seed, session)
-    })?;
+        let noise = original.content_hash();
+        edit_layers(&*system, &noise, &original, &layers, seed, session)
+    });
+    let edited = edited.with_context(|| format!("cannot edit {named}"))?;
     let shown = Shown {
-        id,
+        id: &id,
         skeleton: &skeleton,
         original: &original,
         edited: &edited,
@@ -337,8 +366,8 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
             path.display()
         ),
         (Some(motion), false) => {
-            let original = opened(args, motion, &skeleton)?;
-            EditHistory::open(motion.as_str(), &original, &skeleton)
+            let (id, original) = opened(args, motion, &skeleton)?;
+            EditHistory::open(id, &original, &skeleton)
         }
         (None, true) => {
             let text = local::read_text(path)?;
@@ -412,12 +441,13 @@ impl Interactive<'_> {
         // Each edit of a history draws different noise.
         let count = history.edits().len().to_string();
         let seed = self.global.seed().derive(&["history", &count]);
-        let (id, current) = (history.id(), history.current()?);
+        let (noise, current) = (history.original()?.content_hash(), history.current()?);
         remarks(system, &current, &texts);
         let edited = with_session(&self.global.bars(), |session| {
             system.prepare(&texts, session)?;
-            edit_motion(system, id, &current, &instructions, seed, session)
-        })?;
+            edit_motion(system, &noise, &current, &instructions, seed, session)
+        });
+        let edited = edited.with_context(|| format!("in {}", self.path.display()))?;
         self.times += edited.times;
         let (guidance, identity) = (system.guidance(), system.identity());
         history.push(instructions, seed.0, guidance, identity, &edited);
@@ -529,10 +559,10 @@ impl Interactive<'_> {
             "frames": current.len(),
             "out": self.args.out,
         });
-        let (id, frames, count) = (history.id(), current.len(), edits.len());
+        let (frames, count) = (current.len(), edits.len());
         let (undone, path) = (history.num_undone(), self.path.display());
         let mut lines = vec![format!(
-            "{id}: {frames} frames, {count} edits, {undone} taken back; in {path}"
+            "{frames} frames, {count} edits, {undone} taken back; in {path}"
         )];
         for (number, edit) in (1..).zip(edits) {
             for TimedInstruction { frames, text } in &edit.instructions {
@@ -596,7 +626,7 @@ impl Shown<'_> {
 
 /// An item without a target.
 fn free_item(id: &str, text: &str, original: &Motion) -> anyhow::Result<ItemRow> {
-    // An id that is no clip id, such as a path, is replaced by its hash.
+    // Histories of earlier versions have paths as ids. One that is no clip id is replaced by its hash.
     let source_id = MotionId::parse(id)
         .or_else(|_| MotionId::parse(&blake3::hash(id.as_bytes()).to_hex()))
         .context("a hash is an id")?;

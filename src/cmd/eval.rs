@@ -17,7 +17,7 @@ use eval::protocol::{FidSample, Floor, Gallery, Keypoints, Limit, Protocol, Quer
 use eval::published::PaperTable;
 use eval::table::{Table, shortages};
 use eval::times::{self, WindowTimes};
-use pipeline::answers::bundle::{Bundle, Rates};
+use pipeline::answers::bundle::{Asked, Bundle};
 use serde::Deserialize;
 use serde_json::json;
 
@@ -346,10 +346,11 @@ fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {
     }
     let judge = judge_hash(encoder)?;
     let items = answered.items.facts().iter();
-    let rates: Rates<'_> = items.map(|item| (item.id.as_str(), item.fps)).collect();
+    let asked = items.map(|item| (item.id.as_str(), (item.fps, item.novelty.as_deref())));
+    let asked: Asked<'_> = asked.collect();
     let mut edits = Vec::new();
     for path in bundles {
-        let Bundle { facts, rows } = Bundle::read(path, &rates, &answered.skeleton)?;
+        let Bundle { facts, rows } = Bundle::read(path, &asked, &answered.skeleton)?;
         if let Some(asked) = facts.judge_hash.filter(|asked| *asked != judge) {
             bail!(
                 "{}: it asks to be judged by the encoder {asked:.12}, and --encoder {} is {judge:.12}",
@@ -388,13 +389,49 @@ fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     tables
 }
 
+/// Refuses options that Table A4, which has no scores, would ignore.
+fn refuse_unused(args: &Args) -> anyhow::Result<()> {
+    let (own, usual) = (&args.measure, Protocol::default());
+    for (option, is_given) in [
+        ("--items", args.items.is_some()),
+        ("--interval", args.interval != usual.interval),
+        ("--further", args.further),
+        ("--out", args.out.is_some()),
+        ("--encoder", own.encoder.is_some()),
+        ("--coordinator", own.coordinator.is_some()),
+        ("--full-gallery", own.full_gallery),
+        ("--gallery", own.gallery.is_some()),
+        ("--repeats", own.repeats != usual.repeats),
+        ("--transpose", own.transpose),
+        ("--truncate", own.truncate),
+        ("--fid-all", own.fid_all),
+        ("--items-limit", own.items_limit.is_some()),
+        ("--keypoints", own.keypoints != usual.keypoints),
+        ("--floor", own.floor.is_some()),
+    ] {
+        if is_given {
+            bail!("Table A4 makes no use of {option}; print it without");
+        }
+    }
+    Ok(())
+}
+
 /// Prints Table A4.
 fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    refuse_unused(args)?;
     let names = local::names_of(&args.edits).into_iter();
     let mut rows: Vec<(String, WindowTimes)> = names
         .zip(&args.edits)
         .map(|(name, path)| Ok((name, WindowTimes::read(path)?)))
         .collect::<anyhow::Result<_>>()?;
+    rows.retain(|(name, times)| {
+        if !times.is_known() {
+            report::note(&format!(
+                "{name} has no times: its system generates no windows"
+            ));
+        }
+        times.is_known()
+    });
     if args.published {
         rows.extend(times::published());
     }

@@ -14,6 +14,7 @@ use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, MotionId, Skeleton};
 use formats::source::ReadOptions;
+use formats::source::archive::{Archives, is_in_archive};
 use pipeline::catalogue::catalogue;
 use pipeline::ingest::REMARKS_FACT;
 use pipeline::open::{read_file, stored_clip, stored_item};
@@ -33,7 +34,7 @@ use crate::report::accounted;
 /// be quarantined ends with exit code 3.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Dataset folder or URL, Parquet shard, manifest, or motion file
+    /// Dataset folder or URL, Parquet shard, manifest, or motion file; in an archive, ARCHIVE/MEMBER
     path: PathBuf,
     /// Id of a clip of the dataset, or of an item
     #[arg(long)]
@@ -45,6 +46,11 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let path = &args.path;
+    if (args.list.is_some() || args.clip.is_some()) && path.is_file() {
+        let reason = "it is a file, and --list and --clip need the folder of a dataset".to_owned();
+        let path = path.clone();
+        return Err(datasets_spec::Error::NotADataset { path, reason }.into());
+    }
     if let Some(list) = args.list {
         return list.show(&Dataset::open_unverified(path)?, global);
     }
@@ -58,6 +64,20 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         let clip = about_clip(&stored_clip(&dataset, id)?);
         return global.say(&clip, &clip.text());
+    }
+    // A member can be read as long as its archive is open.
+    let _open = Archives::of(std::iter::once(path))?;
+    if is_archive(path) {
+        return Err(formats::Error::UnusableFile {
+            path: path.clone(),
+            code: "E-NO-MOTION",
+            reason: format!(
+                "it is an archive, which is read like a folder: `stance doctor {0}` counts what is in it, and \
+                 `stance inspect {0}/MEMBER` shows a file of it",
+                path.display()
+            ),
+        }
+        .into());
     }
     // A URL is a file if its name has an extension and the object exists.
     let is_folder = if is_url(path) {
@@ -326,6 +346,11 @@ fn marked(text: &str, is_made: bool) -> String {
         true => format!("{text} (made from the file name)"),
         false => text.to_owned(),
     }
+}
+
+fn is_archive(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    is_in_archive(&format!("{name}/")) && ByPath.size(path).is_ok()
 }
 
 /// Contents of a motion file.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use datasets_spec::record::ItemRow;
+use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Seed, Split};
 use eval::rows::{ItemFacts, Rows};
 use pipeline::export::export_items;
@@ -14,8 +15,8 @@ use crate::chosen::ChosenArgs;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::stages;
 use crate::test_set::{self, BUILTIN_1};
+use crate::{report, stages};
 
 /// Draw the test questions: a motion, an instruction, and the expected result.
 ///
@@ -107,6 +108,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let seed = global.seed();
     let opened = args.chosen.open(dataset)?;
+    let before = Dataset::open_unverified(out).ok();
     let drawn = stages::items(&opened, out, args.split, &config, seed, global);
     let drawn = drawn.with_context(|| match args.set {
         Some(_) => format!(
@@ -115,6 +117,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ),
         None => "cannot draw items".to_owned(),
     })?;
+    let before = before.as_ref().map(Dataset::manifest);
+    if let Some(before) = before.filter(|before| before.version < drawn.manifest().version) {
+        report::note(&format!(
+            "{} held {} other items; version {} of it keeps them",
+            out.display(),
+            before.rows(ItemRow::TABLE, None),
+            before.version
+        ));
+    }
     let rows: Rows<ItemRow> = Rows::read(&drawn)?;
     let rows = rows.facts();
     let distinct = |of: fn(&ItemFacts) -> &str| rows.iter().map(of).collect::<BTreeSet<_>>().len();

@@ -39,7 +39,12 @@ pub(crate) struct Args {
     )]
     accept: Option<PathBuf>,
     /// Name of the reviewer
-    #[arg(long)]
+    // Clap does not miss `accept` beside an option that conflicts with it, so these conflict with the name as well.
+    #[arg(
+        long,
+        requires = "accept",
+        conflicts_with_all = ["drafts", "replace", "add", "condition"]
+    )]
     author: Option<String>,
     /// Derive the masks again even if people have reviewed some
     #[arg(long)]
@@ -53,12 +58,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
-        if file.exists() {
-            bail!(
-                "{} exists already and may hold verdicts; name another file, or move it away",
-                file.display()
-            );
-        }
+        local::check_new(file)?;
         let dataset = args.chosen.open(&args.dataset)?;
         let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?)?;
         local::write(file, lines.as_bytes())?;

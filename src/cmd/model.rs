@@ -154,9 +154,9 @@ struct ImportArgs {
     /// Network in the checkpoint
     #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
     model: Model,
-    /// Settings the network was made with
-    #[arg(long, value_parser = one_of(PRESETS), default_value = "official")]
-    preset: Preset,
+    /// Settings that an editor or a coordinator was made with [default: official]
+    #[arg(long, value_parser = one_of(PRESETS))]
+    preset: Option<Preset>,
     /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export`
     #[arg(long, value_name = "FILE", required_unless_present = "stats")]
     range: Option<PathBuf>,
@@ -167,9 +167,9 @@ struct ImportArgs {
     /// HumanML3D; for tmed the file statistics_motionfix.npy
     #[arg(long, value_name = "PATH", required_if_eq_any([("model", "mdm"), ("model", "tmed")]))]
     stats: Option<PathBuf>,
-    /// Attention heads of an evaluation encoder, MDM or TMED, which the file does not record
-    #[arg(long, value_name = "N", default_value_t = 4)]
-    heads: usize,
+    /// Attention heads of an evaluation encoder, MDM or TMED, which the file does not record [default: 4]
+    #[arg(long, value_name = "N")]
+    heads: Option<usize>,
     /// Folder of the text encoder that the model uses: CLIP [default: the hub's cache]; for tmr DistilBERT, and then
     /// the text side in the same file, or in text_encoder.pt beside motion_encoder.pt, is imported too
     #[arg(long, value_name = "FOLDER")]
@@ -228,7 +228,13 @@ pub(crate) const FEATURES: Names<FeatureRecipe> = &[
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let files = match &args.action {
-        Action::Import(args) => import(args).map(|()| vec![args.out.clone()])?,
+        Action::Import(args) => {
+            args.device.choose()?;
+            args.refuse_unused()?;
+            import(args)?;
+            exchange::note_source(&args.out, &args.file)?;
+            vec![args.out.clone()]
+        }
         Action::Export(args) => exchange::export(&args.run, args.checkpoint, &args.out)?,
         Action::Fetch(args) => fetch(args.clip, global)?,
         Action::Texts(args) => return list_texts(args, global),
@@ -302,8 +308,39 @@ fn fetch(clip: ClipModel, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
     Ok(vec![files.weights, files.tokenizer])
 }
 
+impl ImportArgs {
+    /// Refuses options that the import of the network would ignore.
+    fn refuse_unused(&self) -> anyhow::Result<()> {
+        use Model::{Coordinator, Mdm, Motionrefit, Tmed, Tmr};
+        let has_encoder = self.text_encoder.is_some();
+        let (windows, features) = (&[Motionrefit, Coordinator][..], &[Tmed, Tmr, Mdm][..]);
+        for (option, is_given, users) in [
+            ("--preset", self.preset.is_some(), windows),
+            ("--range", self.range.is_some(), windows),
+            ("--features", self.features.is_some(), &[Tmr]),
+            ("--stats", self.stats.is_some(), features),
+            ("--heads", self.heads.is_some(), features),
+            (
+                "--text-encoder",
+                has_encoder,
+                &[Motionrefit, Tmed, Tmr, Mdm],
+            ),
+        ] {
+            if is_given && !users.contains(&self.model) {
+                let value = self.model.to_possible_value();
+                let name = value.as_ref().map_or("", |value| value.get_name());
+                bail!("the import of {name} makes no use of {option}; leave it out");
+            }
+        }
+        Ok(())
+    }
+
+    fn heads(&self) -> usize {
+        self.heads.unwrap_or(4)
+    }
+}
+
 fn import(args: &ImportArgs) -> anyhow::Result<()> {
-    args.device.choose()?;
     let seen = "name what the network sees: --stats, and for an encoder --features";
     let stats = || args.stats.as_deref().context(seen);
     match args.model {
@@ -315,7 +352,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let Some(range_file) = &args.range else {
         bail!("the normaliser is missing: --range norm_scaled.npy");
     };
-    let preset = args.preset;
+    let preset = args.preset.unwrap_or(Preset::Official);
     let weights = weights(&args.file, &StateDictOptions::default())?;
     let normalizer = range(range_file)?;
     // The released models were trained on the male body; this program gives them motions on its own skeleton.
@@ -371,7 +408,7 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         read_released_statistics(&local::read(stats)?, stats)?,
         clip(args, ClipModel::VitL14, BertVectors::States)?,
     );
-    let (out, heads) = (&args.out, args.heads);
+    let (out, heads) = (&args.out, args.heads());
     import_tmed(out, heads, fitted, weights, &args.file, &device())?;
     Ok(())
 }
@@ -415,7 +452,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
             .collect(),
     };
     let (out, file) = (&args.out, &args.file);
-    let heads = args.heads;
+    let heads = args.heads();
     exchange::import_motion_encoder(out, heads, features, motions, file, texts, &device())?;
     Ok(())
 }
@@ -447,7 +484,7 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         features,
         clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
     );
-    exchange::import_mdm(out, &mdm, args.heads, fitted, weights, file, &device())?;
+    exchange::import_mdm(out, &mdm, args.heads(), fitted, weights, file, &device())?;
     Ok(())
 }
 

@@ -214,7 +214,9 @@ fn say(
     global: &Global,
 ) -> anyhow::Result<Exit> {
     let count = |number: fn(&Piece) -> u64| plan.pieces().iter().map(number).sum::<u64>();
-    let (items, bytes) = (count(|piece| piece.items), count(|piece| piece.bytes));
+    let items = count(|piece| piece.items);
+    // Not known where all pieces read the same.
+    let bytes = Some(count(|piece| piece.bytes)).filter(|bytes| *bytes > 0);
     let hours = sample
         .map(|Sample { items: made, secs }| secs / made.max(1) as f64 * items as f64 / 3600.0);
     let (job, destination, pieces) = (plan.job(), plan.destination(), plan.pieces().len());
@@ -230,9 +232,11 @@ fn say(
         "sample": sample.map(|Sample { items, secs }| json!({ "items": items, "secs": secs })),
         "estimated_hours": hours,
     });
+    let read = bytes.map_or(String::new(), |bytes| {
+        format!(", {:.1} MB to read", bytes as f64 / 1e6)
+    });
     let mut text = format!(
-        "{pieces} pieces of {job}: {items} items, {:.1} MB to read, into {}\n",
-        bytes as f64 / 1e6,
+        "{pieces} pieces of {job}: {items} items{read}, into {}\n",
         destination.display()
     );
     if let (Some(Sample { items, secs }), Some(hours)) = (sample, hours) {

@@ -72,8 +72,9 @@ pub(crate) struct Args {
     init: Option<PathBuf>,
     #[command(flatten)]
     compose: ComposeArgs,
-    /// Train on windows recorded by `stance triplets --windows` instead of composing them
-    #[arg(long, value_name = "FOLDER")]
+    /// Train on windows recorded by `stance triplets --windows` instead of composing them; the folder states how they
+    /// were composed
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["compose", "phrases"])]
     windows: Option<PathBuf>,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for settings with a frozen text encoder
     /// [default: CLIP in the hub's cache]
@@ -186,11 +187,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn refuse_unused(args: &Args, kind: &ModelKind) -> anyhow::Result<()> {
     let has_length = args.steps.is_some() || args.epochs.is_some();
     let (has_compose, has_encoder) = (args.compose.is_given(), args.text_encoder.is_some());
+    // A model without a length has neither weights to begin with nor settings that may change.
+    let has_weights = args.extend || args.init.is_some();
     for (options, input, is_given) in [
         ("--compose and --phrases", Input::Compose, has_compose),
         ("--windows", Input::Windows, args.windows.is_some()),
         ("--text-encoder", Input::TextEncoder, has_encoder),
         ("--steps and --epochs", Input::Length, has_length),
+        ("--extend and --init", Input::Length, has_weights),
         ("--memory", Input::Memory, args.memory.is_some()),
     ] {
         if is_given && !kind.uses.contains(&input) {

@@ -46,8 +46,9 @@ pub(crate) struct Args {
     compose: ComposeArgs,
     #[command(flatten)]
     chosen: ChosenArgs,
-    /// Rebuild the triplet with this id, and print its components
-    #[arg(long, value_name = "ID", conflicts_with_all = ["out", "windows"])]
+    /// Rebuild the triplet with this id, and print its components and the settings used: --seed, --compose, --phrases and
+    /// --where must be those of the recording
+    #[arg(long, value_name = "ID", conflicts_with_all = ["out", "windows", "count"])]
     explain: Option<String>,
 }
 
@@ -272,6 +273,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let (stream, _) = compose::train_stream(&dataset, &config, global.seed(), None)?;
         let triplet = stream.explain(id)?;
         let (edited, mask) = (&triplet.edited_frames, triplet.mask);
+        let file = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
         let facts = [
             ("id", json!(triplet.id)),
             ("instruction", json!(triplet.instruction)),
@@ -285,6 +287,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ("frames", json!(triplet.original.len())),
             ("edit_start", json!(edited.start)),
             ("edit_end", json!(edited.end)),
+            // An id is a place in a stream: other settings have another triplet there.
+            ("seed", json!(triplet.seed)),
+            ("compose", json!(file(&args.compose.compose))),
+            ("phrases", json!(file(&args.compose.phrases))),
+            ("where", json!(args.chosen.text())),
             ("recipe_hash", json!(triplet.recipe_hash)),
             ("original_hash", json!(triplet.original.content_hash())),
             ("edited_hash", json!(triplet.edited.content_hash())),

@@ -12,7 +12,7 @@ use glam::DQuat;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::archives::files_below;
+use crate::archives::{Files, files_below, packed};
 use crate::formats::walk;
 use crate::util::{
     arg, assert_has, assert_quarantined, corpus, ingest, motions_of, put, rows_of, stance, typed,
@@ -98,8 +98,26 @@ fn inspect_of_a_rejected_file_exits_with_3_and_names_the_reason() {
     // The checks refuse this motion, not the reader.
     put(&short, bvh(&walk(1, 30.0)));
     assert_eq!(failed(&["inspect", arg(&short)], 3).code, "E-TOO-SHORT");
-    let good: Value = stance(&["--json", "inspect", arg(&good)]).done();
-    assert_eq!(good.get("code"), None);
+    let said: Value = stance(&["--json", "inspect", arg(&good)]).done();
+    assert_eq!(said.get("code"), None);
+
+    // An archive is refused with the ways to look into it, of which one is to name a member.
+    let files = Files::from([("a/good.bvh".to_owned(), fs::read(&good).expect("read"))]);
+    for name in ["some.zip", "some.tar", "some.tar.gz"] {
+        let path = source.join(name);
+        put(&path, packed(name, &files));
+        assert_eq!(failed(&["inspect", arg(&path)], 1).code, "E-NO-MOTION");
+        let ran = stance(&["inspect", arg(&path)]).expect_code(1);
+        ran.expect_said(&format!("stance doctor {}", path.display()));
+        ran.expect_said(&format!("stance inspect {}/MEMBER", path.display()));
+        let member: Value = stance(&["--json", "inspect", arg(&path.join("a/good.bvh"))]).done();
+        assert_eq!(member, said);
+    }
+    for more in [["--list", "clips"], ["--clip", "walk"]] {
+        let failure = failed(&[&["inspect", arg(&good)][..], &more].concat(), 1);
+        assert_eq!(failure.code, "E-DATASET");
+        assert_has(&failure.reason, &["need the folder of a dataset"]);
+    }
 }
 
 #[test]

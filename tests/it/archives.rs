@@ -6,11 +6,13 @@ use std::fs;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::MotionRow;
+use datasets_spec::MotionId;
+use datasets_spec::record::{MaskRow, MotionRow};
 use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
+use crate::grown::judge;
 use crate::util::{
     self, Ran, arg, assert_counted, assert_has, assert_quarantined, command, corpus, everything,
     files_with_extension, rows_of, skipped_of, typed,
@@ -338,6 +340,85 @@ fn clips_of_a_cut_shard_are_named_and_stay() {
         let quarantine = assert_quarantined(&dataset, &expected);
         assert_eq!(quarantine[&name].byte_offset, Some(end));
         assert_has(&quarantine[&clip].reason, &["json is missing"]);
+    }
+}
+
+#[test]
+fn masks_follow_the_arrays_of_a_clip_and_not_its_labels() {
+    let place = Place::new(corpus(12));
+    place.ingest("corpus", "dataset", 0);
+    let (dataset, out) = (place.path("dataset"), place.path("shards"));
+    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
+    let clips = place.path("clips");
+    fs::create_dir(&clips).expect("made");
+    for shard in files_with_extension(&out, "tar") {
+        let bytes = fs::read(shard).expect("read");
+        tar::Archive::new(&bytes[..])
+            .unpack(&clips)
+            .expect("unpacked");
+    }
+    let made = place.path("made");
+    place.ingest("clips", "made", 0);
+    let before = judge(&made);
+    let masks = || -> BTreeMap<String, MaskRow> {
+        let rows = rows_of::<MaskRow>(&made).into_iter();
+        rows.map(|row| (row.id.clone(), row)).collect()
+    };
+
+    let (_, masked) = before.first_key_value().expect("a mask");
+    let mut rows = place.motions("made").into_iter();
+    let masked = rows.find(|row| row.id == masked.motion_id);
+    let facts = clips.join(masked.expect("its clip").source_path);
+    let text = fs::read_to_string(&facts).expect("text");
+    let mut document: Value = serde_json::from_str(&text).expect("JSON");
+    document["license"] = "CC-BY-4.0".into();
+    fs::write(&facts, document.to_string()).expect("written");
+    let done = place.ingest("clips", "made", 0);
+    assert_eq!(
+        done["growth"]["read_again"].as_array().map(Vec::len),
+        Some(1),
+        "{done}"
+    );
+    assert_eq!(masks(), before);
+
+    let array = facts.with_extension("body_pose.npy");
+    let mut bytes = fs::read(&array).expect("read");
+    // The lowest bits of the last number.
+    let place_of_bits = bytes.len() - 4;
+    bytes[place_of_bits] ^= 1;
+    fs::write(&array, bytes).expect("written");
+    typed("ingest {} --out {}", &[&clips, &made]).expect_refused("--drop-labels");
+    assert_eq!(masks(), before);
+}
+
+#[test]
+fn labels_beside_a_release_are_noticed_when_they_change() {
+    let place = Place::new(corpus(12));
+    place.ingest("corpus", "dataset", 0);
+    let dataset = place.path("dataset");
+    for layout in ["humanml3d", "stance", "webdataset", "humanml3d-272"] {
+        let out = place.path(layout);
+        typed("export {} --to {} --out {}", &[&dataset, &layout, &out]).expect_code(0);
+        let grown = format!("{layout}-grown");
+        place.ingest(layout, &grown, 0);
+        let said = "it does so once more";
+        let id = place.motions(&grown)[0].id.clone();
+        let captions = format!("{layout}/captions.csv");
+        place.put(&captions, format!("clip,text\n{id},{said}\n"));
+        place.ingest(layout, &grown, 0);
+        let texts = |dataset: &str| -> BTreeMap<MotionId, Vec<String>> {
+            let rows = place.motions(dataset).into_iter();
+            rows.map(|row| {
+                let texts = row.captions.into_iter().map(|caption| caption.text);
+                (row.id, texts.collect())
+            })
+            .collect()
+        };
+        let has_it = |texts: &&Vec<String>| texts.iter().any(|text| text == said);
+        assert_eq!(texts(&grown).values().filter(has_it).count(), 1, "{layout}");
+        let fresh = format!("{layout}-fresh");
+        place.ingest(layout, &fresh, 0);
+        assert_eq!(texts(&grown), texts(&fresh), "{layout}");
     }
 }
 

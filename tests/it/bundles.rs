@@ -10,6 +10,7 @@ use datasets_spec::table::{read_rows, write_rows};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
+use crate::results;
 use crate::tables::tables;
 use crate::util::{Ran, arg, assert_has, put};
 
@@ -285,5 +286,27 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     bench
         .eval(&[&path], &["--items", arg(&others)])
         .expect_refused("it answers the items");
+
+    // The id of an item does not cover its novelty.
+    let mut parted: Vec<ItemRow> = bench.rows("items");
+    let was = parted[2].novelty.take().expect("known");
+    let is = if was == "retake" { "unshown" } else { "retake" };
+    parted[2].novelty = Some(is.to_owned());
+    let parted_items = results::write_rows(&bench, "parted", &parted, |row| row.split);
+    let with_items = ["--items", arg(&parted_items)];
+    let said = bench.eval(&[&path], &with_items).refusal();
+    let said_of = format!("item {} as {was}, and these as {is}", parted[2].id);
+    assert_has(&said, &["good.zip", &said_of]);
+    // Bundles of version 1 did not state it.
+    let older = changed(&|members| {
+        let mut facts: Value = serde_json::from_slice(&members[0].1).expect("JSON");
+        let facts_of = facts.as_object_mut().expect("facts");
+        facts_of.remove("novelty").expect("stated");
+        facts_of.insert("format".to_owned(), 1.into());
+        members[0].1 = serde_json::to_vec(&facts).expect("JSON");
+    });
+    let path = bench.path("older.zip");
+    put(&path, &older);
+    bench.eval(&[&path], &with_items).expect_code(0);
     assert!(rows.iter().all(|row| row.split == Split::Test));
 }

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::results::score;
 use crate::tables::tables;
-use crate::util::{Folder, assert_has, list_of, number_of, word_of};
+use crate::util::{Folder, arg, assert_has, list_of, number_of, word_of};
 
 #[test]
 fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
@@ -100,9 +100,25 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         .expect_refused("builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]");
 
     // Each stage also has its own verb.
-    folder
-        .run("--json triplets @run/dataset --explain train-semantic-0-3")
-        .expect_printed("recipe_hash");
+    // Another seed has another triplet of the same id, so the seed and the settings are stated.
+    let explain = "triplets @run/dataset --explain train-semantic-0-3";
+    let [first, other] = ["0", "5"].map(|seed| {
+        let explained: Value = folder.json(&format!("{explain} --seed {seed}"));
+        assert_eq!(explained["seed"].to_string(), seed);
+        assert_eq!(explained["compose"], Value::Null);
+        explained
+    });
+    assert_eq!(first["recipe_hash"], other["recipe_hash"]);
+    assert_ne!(first["edited_hash"], other["edited_hash"]);
+    folder.put("once", "fixed_pairs = true\n");
+    let once: Value = folder.json(&format!(
+        "{explain} --compose @once --where 'n_frames > 60'"
+    ));
+    assert_ne!(once["recipe_hash"], first["recipe_hash"]);
+    assert_eq!(once["compose"], arg(&folder.path("once")));
+    assert_eq!(once["where"], "n_frames > 60");
+    let counted = folder.typed(&format!("{explain} --count 4"));
+    counted.expect_code(2).expect_said("--count");
     let eval = |more: &str| {
         let line = "eval @run/edits/full --encoder @run/runs/tmr --weak-judge";
         folder.run(&format!("{line} {more}"))

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use datasets_spec::record::{MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow};
+use datasets_spec::record::{EditRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow};
 use datasets_spec::table::Row;
 use serde_json::Value;
 
-use crate::util::{Folder, arg, files_with_extension, number_of, stem_of};
+use crate::util::{Folder, arg, assert_has, files_with_extension, json_of, number_of, stem_of};
 
 /// One take of 26 actions in six styles.
 const CLIPS: usize = 156;
@@ -112,11 +112,47 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     folder.run(&format!("{train} --out @run --windows @windows"));
 
     // Windows recorded with another normaliser are refused.
-    folder.put("scalar.toml", "range = \"scalar\"\n");
-    record("other", "--compose @scalar.toml");
+    record("other", "--where 'n_frames > 130'");
     folder
         .typed(&format!("{train} --out @run2 --windows @other"))
         .expect_refused("another normaliser");
+
+    // A run records how its windows were composed, and its seed is not theirs.
+    folder.put("once.toml", "fixed_pairs = true\nrange = \"scalar\"\n");
+    record("once", "--compose @once.toml --seed 4");
+    let once = format!("{train} --windows @once --seed 9");
+    folder.run(&format!("{once} --out @once-run"));
+    let config = &json_of::<Value>(folder.path("once-run/config.json"))["config"];
+    assert_eq!(config["train"]["seed"], 9);
+    let compose = &config["compose"];
+    assert_eq!(compose["seed"], 4);
+    assert_eq!(compose["config"]["fixed_pairs"], true);
+    let clip = &files_with_extension(&folder.path("corpus"), "bvh")[0];
+    let edit = "edit @once-run --text wave --out @edits --motion";
+    folder.typed_with(edit, &[arg(clip)]).expect_code(0);
+    let edits: Vec<EditRow> = folder.rows("edits");
+    assert_has(&edits[0].system, &["composed once"]);
+    for other in ["compose", "phrases"] {
+        let line = format!("{once} --out @none --{other} @{other}.toml");
+        let ran = folder.typed(&line).expect_code(2);
+        ran.expect_said(&format!("cannot be used with '--{other} "));
+    }
+
+    // Version 0.2 did not record it. The same command then adds it, and the windows stay the same.
+    let hash = |name: &str| folder.dataset_at(name).content_hash(&[WindowRow::TABLE]);
+    let before = hash("windows");
+    let path = folder.path("windows/meta/manifest-1.json");
+    let mut manifest: Value = json_of(&path);
+    let facts = manifest["facts"].as_object_mut().expect("facts");
+    facts.remove("recorded_windows").expect("a fact");
+    fs::write(&path, manifest.to_string()).expect("written");
+    let again = format!("{train} --out @run --windows @windows");
+    folder
+        .typed(&again)
+        .expect_refused("does not state how windows were composed");
+    record("windows", "");
+    assert_eq!(hash("windows"), before);
+    folder.run(&again);
 
     let stats: Value = folder.json("triplets stats @dataset --sheet @sheet.svg");
     assert!(number_of(&stats["distinct_pairs"]["semantic"]) > 100.0);

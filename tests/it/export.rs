@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{HumanMl3dRow, MotionRow};
 use datasets_spec::{Dataset, Motion, Skeleton};
 use serde_json::{Value, json};
 
 use crate::util::{
-    arg, corpus, damage, exported, files_with_extension, ingested, json_of, motions_of, put,
-    rows_of, stance, text_of, typed,
+    arg, assert_has, corpus, damage, dataset_of, exported, files_with_extension, ingested, json_of,
+    motions_of, put, root_hash_of, rows_of, stance, stem_of, text_of, typed, typed_with,
 };
 
 const CLIPS: usize = 8;
@@ -222,4 +222,82 @@ fn doctor_and_stats_count_and_verify_passes_what_ingest_wrote_and_fails_what_was
     damage(&files_with_extension(&dataset, "parquet")[0]);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
     ran.expect_printed("1 wrong");
+}
+
+#[test]
+fn what_the_error_of_a_damaged_shard_says_works() {
+    let dir = corpus(12);
+    let (dataset, rest) = (dir.path().join("dataset"), dir.path().join("rest"));
+    let parts = ["bvh", "amass"].map(|part| dir.path().join("corpus").join(part));
+    let shards = || files_with_extension(&dataset.join("data/motions"), "parquet");
+    ingested(&parts[0], &dataset, &[]);
+    let (whole, before) = (root_hash_of(&dataset), shards());
+    let clips = ingested(&parts[1], &dataset, &[])["ingested"].clone();
+    assert_eq!(clips, 12);
+    let is_new = |shard: &&PathBuf| !before.contains(shard);
+    let added = shards().iter().find(is_new).expect("a new shard").clone();
+    let copy = fs::read(&added).expect("read");
+    damage(&added);
+    for more in [&[][..], &["--new-version"]] {
+        let said = typed_with("ingest {} --out {}", &[&parts[1], &dataset], more).refusal();
+        assert_has(
+            &said,
+            &["put back a copy", "stance dataset restore", "a new folder"],
+        );
+    }
+    let left = typed("--json ingest {} --out {}", &[&dataset, &rest]).expect_code(3);
+    assert!(left.json::<Value>()["ingested"].as_u64() >= Some(6));
+    typed("dataset restore {} --to 1", &[&dataset]).expect_code(0);
+    assert_eq!(root_hash_of(&dataset), whole);
+    put(&added, copy);
+    typed("dataset restore {} --to 2", &[&dataset]).expect_code(0);
+    assert_eq!(motions_of(&dataset).len(), 12);
+}
+
+#[test]
+fn doctor_counts_the_clips_that_ingest_reads_of_every_layout() {
+    let (dir, dataset) = dataset_of(8, &[]);
+    for verb in ["masks", "pairs"] {
+        stance(&[verb, arg(&dataset)]).expect_code(0);
+    }
+    let counted = |source: &Path| {
+        let diagnosis: Value = stance(&["--json", "doctor", arg(source)]).done();
+        let done = ingested(source, &source.with_extension("again"), &[]);
+        assert!(done["ingested"].as_u64() > Some(0), "{done}");
+        let clips = &diagnosis["estimate"]["clips"];
+        assert_eq!(clips, &done["ingested"], "{diagnosis}");
+        let frames = diagnosis["estimate"]["frames"].as_u64();
+        assert!(frames > Some(0), "{diagnosis}");
+        diagnosis["advice"].to_string()
+    };
+    let unpublished = "make them from AMASS";
+    counted(&dataset);
+    for layout in [
+        "amass",
+        "bvh",
+        "gltf",
+        "humanml3d",
+        "humanml3d-272",
+        "babel-272",
+        "motionfix",
+        "motionmillion",
+        "stance",
+        "webdataset",
+    ] {
+        let out = dir.path().join(layout);
+        exported(&dataset, layout, &out, &[]);
+        let advice = counted(&out);
+        assert!(!advice.contains(unpublished), "{layout}: {advice}");
+    }
+    let unpacked = dir.path().join("unpacked");
+    for shard in files_with_extension(&dir.path().join("webdataset"), "tar") {
+        let tar = fs::File::open(&shard).expect("a shard");
+        let unpacked = tar::Archive::new(tar).unpack(unpacked.join(stem_of(&shard)));
+        unpacked.expect("unpacked");
+    }
+    counted(&unpacked);
+    let captions = dir.path().join("captions");
+    put(captions.join("texts/000000.txt"), "a man walks");
+    let ran = stance(&["doctor", arg(&captions)]).expect_code(0);
+    ran.expect_printed(unpublished);
 }

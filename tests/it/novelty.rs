@@ -141,6 +141,25 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused_and_one_without_training_
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
 
+#[test]
+fn what_training_has_shown_does_not_depend_on_the_clips_that_questions_are_drawn_from() {
+    let folder = with_dataset("330");
+    folder.run("items @dataset --count all --out @whole");
+    folder.run("items @dataset --count all --where \"split = 'test'\" --out @part");
+    let [whole, part] = ["whole", "part"].map(|items| {
+        let rows = folder.rows::<ItemRow>(items).into_iter();
+        let rows = rows.map(|row| (row.id, (row.task, row.novelty)));
+        rows.collect::<BTreeMap<_, _>>()
+    });
+    assert_eq!(part, whole);
+    // Only the pairs of the training split tell that an adjustment was shown.
+    let mut stated = whole.into_values();
+    let is_told = |(task, novelty): (String, Option<String>)| {
+        task == "fine-grained" && novelty.is_some_and(|novelty| novelty != "unshown")
+    };
+    assert!(stated.any(is_told));
+}
+
 /// Ingests the folder of one limit with one of its lists of pairs, and draws all its items.
 fn questions(folder: &Folder, limit: &str, list: &str) -> Vec<ItemRow> {
     let (sources, name) = (format!("@limits/{limit}"), format!("{list}-{limit}"));

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use annotate::store::open_sqlite;
-use annotate::wire::{Role, TaskKind};
+use annotate::wire::{Role, TaskKind, TaskState};
 use corpus::{CLIPS_PER_TAKE, CorpusOptions};
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow, TripletRow};
-use datasets_spec::{MotionId, Split};
+use datasets_spec::{Dataset, MotionId, Split};
 use pickle::{Array, Value};
 use serde_json::{Value as Json, json};
 
@@ -231,6 +231,62 @@ fn pairs_made_again_stay_as_people_judged_them() {
     assert_eq!(paired(&dataset)["pairs"], 9);
     assert_eq!(pairs(), judged);
     stance(&["verify", arg(&dataset)]).expect_code(0);
+
+    // No list does either.
+    let manifest = Dataset::open(&dataset).expect("opens").manifest().clone();
+    let rejected: Vec<[MotionId; 2]> = manifest.rejected_pairs().into_values().flatten().collect();
+    let [[original, styled]] = &rejected[..] else {
+        panic!("{rejected:?}")
+    };
+    let list = dir.path().join("pairs.csv");
+    put(&list, format!("{styled},{original},proud\n"));
+    typed("pairs {} --csv {}", &[&dataset, &list])
+        .expect_code(3)
+        .expect_said("people rejected the pair");
+    let growing = ["--pairs", arg(&list)];
+    let line = "--json ingest {} --out {}";
+    let listed: Json = typed_with(line, &[&source, &dataset], &growing)
+        .expect_code(3)
+        .json();
+    assert_has(&listed.to_string(), &["people rejected the pair"]);
+    assert_eq!(pairs(), judged);
+
+    // After the dataset grew, an acceptance that is taken back still leaves it.
+    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
+    let tasks = (1..400).filter_map(|id| store.task_record(id).ok());
+    let accepted = tasks.filter(|task| task.state == TaskState::Accepted);
+    let accepted: Vec<i64> = accepted.map(|task| task.id).collect();
+    assert_eq!(accepted.len(), 2);
+    for task in accepted {
+        let reopen = json!({ "idem_key": format!("reopen-{task}"), "task": task, "lease_epoch": 0,
+            "decision": "reopen", "comment": "look again" });
+        store
+            .review(people.1, from_json(reopen), 0)
+            .expect("reopens");
+    }
+    drop(store);
+    let done: Json = stance(&["--json", "annotate", arg(&dataset), "export"]).done();
+    assert_eq!(done["counts"]["taken_back"], 1, "{done}");
+    assert_eq!(paired(&dataset)["pairs"], 10);
+}
+
+#[test]
+fn pairs_of_a_release_that_was_ingested_stay_where_nothing_takes_their_place() {
+    let (dir, dataset) = dataset_of(12, &[]);
+    assert_eq!(paired(&dataset)["pairs"], 10);
+    let [release, again] = ["release", "again"].map(|name| dir.path().join(name));
+    exported(&dataset, "stance", &release, &[]);
+    ingested(&release, &again, &[]);
+    let before: Vec<PairRow> = rows_of(&again);
+    assert_eq!(before.len(), 10);
+    let made = paired(&again);
+    assert_eq!([&made["pairs"], &made["alone"]], [10, 0], "{made}");
+    let sides = |rows: Vec<PairRow>| -> BTreeSet<[MotionId; 2]> {
+        rows.into_iter()
+            .map(|row| [row.source_id, row.target_id])
+            .collect()
+    };
+    assert_eq!(sides(rows_of(&again)), sides(before));
 }
 
 #[test]

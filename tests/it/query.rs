@@ -12,7 +12,10 @@ use serde_json::{Value, json};
 use tables::{Condition, Tables};
 use tempfile::TempDir;
 
-use crate::util::{arg, dataset_of, len_of, put, rows_of, stance, typed, typed_with};
+use crate::util::{
+    arg, dataset_of, everything, files_with_extension, len_of, put, rows_of, stance, typed,
+    typed_with,
+};
 
 /// A dataset of the corpus with masks and pairs of some clips, and the rows of all clips.
 fn made(clips: usize) -> (TempDir, PathBuf, Vec<MotionRow>) {
@@ -328,6 +331,31 @@ fn a_query_answers_as_a_table_json_csv_and_parquet_and_asks_several_datasets() {
     let mut expected = clips.clone();
     expected.sort_by(|a, b| a.id.cmp(&b.id));
     assert_eq!(written, expected, "every column goes through unchanged");
+
+    // Neither a file that is there nor the folders of a dataset are written to.
+    let folders = everything(&dataset);
+    let shard = files_with_extension(&dataset, "parquet").remove(0);
+    for (to, said) in [
+        (&out, "exists already; name another file"),
+        (&shard, "exists already; name another file"),
+        (&dataset.join("own.parquet"), "name a file outside of it"),
+        (
+            &dataset.join("data/new/own.parquet"),
+            "name a file outside of it",
+        ),
+        (
+            &dataset.join("../dataset/meta/own.parquet"),
+            "name a file outside of it",
+        ),
+    ] {
+        let ran = stance(&["--json", "query", folder, all, "--out", arg(to)]).expect_refused(said);
+        assert_eq!(ran.json::<Value>()["code"], "E-OCCUPIED");
+    }
+    assert_eq!(everything(&dataset), folders);
+
+    for line in ["--json query {} {} --csv", "query {} {} --csv --json"] {
+        typed(line, &[&dataset, &names]).expect_refused("--csv and --json");
+    }
 
     let part = dir.path().join("part");
     let line = "dataset select {} --where {} --out {}";

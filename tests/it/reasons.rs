@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use datasets_spec::record::{MaskRow, MotionRow};
 use serde_json::{Value, json};
 
+use crate::archives::{Files, files_below, packed};
 use crate::util::{
-    arg, assert_has, assert_quarantined, assert_tells, corpus, files_with_extension, ingest,
-    motions_of, put, rows_of, skipped_of, stance, text_of, typed,
+    arg, assert_has, assert_quarantined, assert_tells, corpus, dataset_of, files_with_extension,
+    ingest, motions_of, put, root_hash_of, rows_of, skipped_of, stance, text_of, typed, typed_with,
 };
 
 fn ids(dataset: &Path) -> BTreeSet<String> {
@@ -248,6 +249,76 @@ fn edited_texts_without_a_verdict_are_kept() {
     let mut lines = lines.lines();
     let line = lines.find(|line| line.contains("thinking about it"));
     assert_has(line.expect("the draft"), &["\"todo\""]);
+}
+
+#[test]
+fn a_reviewer_is_named_only_where_lines_are_accepted() {
+    let (_dir, dataset) = dataset_of(6, &[]);
+    let before = root_hash_of(&dataset);
+    let (drafts, inside) = (
+        dataset.with_file_name("masks.jsonl"),
+        dataset.join("masks.jsonl"),
+    );
+    for more in [
+        &[][..],
+        &["--replace"],
+        &["--add"],
+        &["--where", "n_frames > 2"],
+        &["--drafts", arg(&drafts)],
+    ] {
+        let ran = typed_with("masks {} --author zed", &[&dataset], more);
+        ran.expect_code(2).expect_said("--author");
+    }
+    assert!(!drafts.exists());
+    let line = "masks {} --drafts {}";
+    typed(line, &[&dataset, &inside]).expect_refused("name a file outside of it");
+    assert!(!inside.exists());
+    assert_eq!(root_hash_of(&dataset), before);
+}
+
+#[test]
+fn new_clips_lack_no_labels_because_of_damage_elsewhere() {
+    let dir = corpus(12);
+    let source = dir.path().join("corpus");
+    let [bvh, amass] = ["bvh", "amass"].map(|part| files_below(&source.join(part)));
+    let remarks = |name: &str| {
+        let out = dir.path().join("out").join(name);
+        let done = ingest(&dir.path().join(name), &out, &[], 3);
+        assert!(done["ingested"].as_u64() >= Some(6), "{done}");
+        done["remarks"].to_string()
+    };
+    let folder = |name: &str, files: &[(&str, &Files)]| {
+        for (archive, files) in files {
+            put(dir.path().join(name).join(archive), packed(archive, files));
+        }
+    };
+
+    // A motion with an unusable name says nothing of the others.
+    let mut evil = bvh.clone();
+    evil.insert("../evil.bvh".to_owned(), b"HIERARCHY".to_vec());
+    folder("named", &[("evil.tar", &evil), ("good.zip", &amass)]);
+    assert_eq!(remarks("named"), "[]");
+
+    // A cut archive may have held labels of its own motions.
+    folder("cut", &[("cut.tar", &bvh), ("good.tar", &amass)]);
+    let cut = dir.path().join("cut/cut.tar");
+    let whole = fs::read(&cut).expect("read");
+    put(&cut, &whole[..whole.len() / 2]);
+    let said = remarks("cut");
+    let rows = motions_of(&dir.path().join("out/cut"));
+    let is_cut = |row: &&MotionRow| row.source_path.starts_with("cut.tar/");
+    let num_cut = rows.values().filter(is_cut).count();
+    let expected = format!("up to {num_cut} new clips may lack labels");
+    assert_has(&said, &[&expected, "now: cut.tar\""]);
+
+    // An archive of captions alone may describe the motions beside it.
+    let caption = b"a man walks#a/DET#0.0#0.0\n".to_vec();
+    let captions = Files::from([("000000.txt".to_owned(), caption)]);
+    folder("beside", &[("good.zip", &amass), ("texts.tar", &captions)]);
+    let texts = dir.path().join("beside/texts.tar");
+    let whole = fs::read(&texts).expect("read");
+    put(&texts, &whole[..600]);
+    assert_has(&remarks("beside"), &["up to 6 new", "now: texts.tar\""]);
 }
 
 #[test]

@@ -15,7 +15,12 @@ use crate::tables::{printed, tables};
 use crate::util::{arg, assert_has, list_of, number_of, word_of};
 
 /// Writes a table of rows as another program would.
-fn write_rows<R: Row>(bench: &Bench, name: &str, rows: &[R], split: fn(&R) -> Split) -> PathBuf {
+pub(crate) fn write_rows<R: Row>(
+    bench: &Bench,
+    name: &str,
+    rows: &[R],
+    split: fn(&R) -> Split,
+) -> PathBuf {
     let skeleton = bench.dataset_at("items").skeleton().expect("built in");
     let out = bench.path(name);
     commit_rows(&out, rows, Some(split), &skeleton, name, "test").expect("writes");
@@ -266,6 +271,18 @@ fn what_cannot_stand_in_one_table_is_refused() {
     }
     assert!(!bench.path("page.html").exists());
 
+    // The same items, of which one is said to be of another novelty, in either order.
+    let mut rows: Vec<ItemRow> = bench.rows("items");
+    let was = rows[3].novelty.take().expect("known");
+    let is = if was == "retake" { "unshown" } else { "retake" };
+    rows[3].novelty = Some(is.to_owned());
+    let asked = write_rows(&bench, "asked", &rows, |row| row.split);
+    let other = bench.answers("editor", "asked", "parted", &["--name", "other"]);
+    for order in [[&first, &other], [&other, &first], [&asked, &first]] {
+        let refused = bench.eval(&order.map(PathBuf::as_path), &[]).refusal();
+        assert_has(&refused, &[&rows[3].id, &was, is, "--items"]);
+    }
+
     // An item whose content was changed, but not its id.
     let mut rows: Vec<ItemRow> = bench.rows("items");
     rows[3].instruction.push_str(" Twice.");
@@ -390,13 +407,16 @@ fn further_tables_tell_how_motions_move_and_how_takes_of_one_item_differ() {
 #[test]
 fn latencies_stand_apart_from_times_that_windows_share() {
     let bench = Bench::open();
-    let together = bench.edits("together", &[]);
-    let alone = bench.edits("alone", &["--max-batch", "1"]);
+    bench.edits("together", &[]);
+    bench.edits("alone", &["--max-batch", "1"]);
     let rows = |folder: &str| bench.rows::<EditRow>(folder);
     // The batch size changes no number of the edits.
     assert_eq!(rows("together"), rows("alone"));
-    let format = ["--table", "a4", "--published", "--format", "markdown"];
-    let ran = bench.eval(&[&together, &alone], &format).expect_code(0);
+    let times = |more: &str| {
+        let line = format!("eval @together @alone --table a4 {more}");
+        bench.typed(&line)
+    };
+    let ran = times("--published --format markdown").expect_code(0);
     ran.expect_said("--max-batch 1");
     let found = tables(&ran.stdout);
     let [latency, throughput] = &found[..] else {
@@ -420,10 +440,19 @@ fn latencies_stand_apart_from_times_that_windows_share() {
         ["1", "0.474", "0.046", "0.126", "0.646", "24.77"]
     );
     assert_eq!(throughput.names(), ["16-frame, together"]);
-    let format = ["--table", "a4", "--published", "--format", "latex"];
-    let latex = bench.eval(&[&together, &alone], &format).printed();
+    let latex = times("--published --format latex").printed();
     assert_has(&latex, &["16-frame, alone & ", "16-frame, together & "]);
-    let times = bench.scores(&[&together, &alone], &["--table", "a4"]);
+    // The table has no scores.
+    for unused in [
+        "--encoder none",
+        "--out @none",
+        "--repeats 0",
+        "--gallery 8",
+    ] {
+        let option = unused.split(' ').next().expect("an option");
+        times(unused).expect_refused(&format!("Table A4 makes no use of {option}"));
+    }
+    let times: Value = times("--json").done();
     assert_eq!([&times[0]["latency"], &times[1]["latency"]], [false, true]);
     assert_eq!(times[1]["batch"], 1.0);
     assert!(number_of(&times[0]["batch"]) > 1.0);

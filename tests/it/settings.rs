@@ -112,8 +112,47 @@ fn a_plan_whose_results_would_replace_each_other_is_refused() {
             "model = \"nearest\"\nposes = true",
             "uses no coordinator and no pose network",
         ),
+        (
+            "model = \"nearest\"\nedit = { guidance = 2.0 }",
+            "system \"one\": the model nearest makes no use of --guidance",
+        ),
+        (
+            "edit = { coordinator_steps = 2 }",
+            "system \"one\" makes no use of edit.coordinator_steps",
+        ),
     ] {
         folder.put("plan.toml", format!("{plan}{settings}\n{}", table("main")));
+        let ran = folder.typed("reproduce @plan.toml --dry-run");
+        ran.expect_refused(said);
+    }
+    for (model, key, said) in [
+        (
+            "motionrefit",
+            "edit.steps",
+            "edit.steps = 2: system \"one\": the model motionrefit makes no use of --diffusion-steps (edit.steps)",
+        ),
+        (
+            "nearest",
+            "epoch",
+            "the model nearest makes no use of epoch",
+        ),
+        (
+            "motionrefit",
+            "edit.coordinator_strength",
+            "figure equal: system \"one\" makes no use of edit.coordinator_strength",
+        ),
+    ] {
+        let figure = format!("[[figure]]\nname = \"equal\"\nkey = \"{key}\"\nvalues = [2, 5]\n");
+        folder.put("plan.toml", format!("{plan}model = \"{model}\"\n{figure}"));
+        let ran = folder.typed("reproduce @plan.toml --dry-run");
+        ran.expect_refused(said);
+    }
+    for (name, said) in [
+        ("", "expected a name"),
+        ("Identity", "is a row of every table"),
+    ] {
+        let named = plan.replace("\"one\"", &format!("{name:?}"));
+        folder.put("plan.toml", format!("{named}{}", table("main")));
         let ran = folder.typed("reproduce @plan.toml --dry-run");
         ran.expect_refused(said);
     }

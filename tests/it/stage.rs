@@ -71,7 +71,8 @@ struct Planned {
     plan_hash: String,
     pieces: u64,
     items: u64,
-    bytes: u64,
+    /// Null where all pieces read the same.
+    bytes: Option<u64>,
     sample: Option<Sample>,
     estimated_hours: Option<f64>,
 }
@@ -294,7 +295,7 @@ fn an_ingestion_in_pieces_that_are_killed_repeated_and_lost_is_that_of_one_proce
     // `stance.toml` belongs to all pieces, but its bytes are counted once.
     let files = files_below(&folder.path("corpus")).into_values();
     let sizes = files.map(|bytes| bytes.len() as u64);
-    assert_eq!(planned.bytes, sizes.sum::<u64>());
+    assert_eq!(planned.bytes, Some(sizes.sum()));
     assert!(planned.sample.is_none());
     assert!(!job.into.exists(), "a plan touches no dataset");
     let done = job.in_every_way(3);
@@ -493,7 +494,7 @@ fn a_dry_run_counts_and_writes_nothing() {
     let folder = Folder::of_clips(40);
     let planned: Planned = folder.json("stage plan ingest @corpus --into @dataset --dry-run");
     assert_eq!(planned.items, 40);
-    assert!(planned.pieces > 0 && planned.bytes > 0);
+    assert!(planned.pieces > 0 && planned.bytes.is_some());
     let sample = planned.sample.expect("a sample");
     assert!(sample.items > 0 && planned.estimated_hours.is_some_and(|hours| hours > 0.0));
     let names: Vec<_> = fs::read_dir(folder.path(""))
@@ -510,7 +511,7 @@ fn a_dry_run_counts_and_writes_nothing() {
         let sample = planned.sample.expect("a sample");
         assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
         let into = folder.path("into");
-        assert!(planned.bytes > 0 && !into.exists(), "{layout}");
+        assert!(planned.bytes.is_some() && !into.exists(), "{layout}");
     }
 }
 
@@ -595,7 +596,11 @@ fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
         let job = Job::planned(&workshop, name, job);
         assert_eq!(job.in_every_way(0).root_hash, clean, "{name}");
         assert!(pieces.contains(&job.planned.pieces), "{name}");
+        assert_eq!(job.planned.bytes, None, "{name}");
     }
+    let planned = "stage plan triplets @dataset --count 12 --into @none --dry-run";
+    let planned = workshop.run(planned).stdout;
+    assert!(planned.contains("12 items, into "), "{planned}");
     workshop.run("verify @windows");
     workshop.run("verify @triplets");
     let remarks = |edits: &str| workshop.text(&format!("{edits}/remarks.json"));
@@ -657,7 +662,7 @@ fn exports_in_pieces_are_those_of_one_process() {
         let job = Job::planned(&folder, layout, &export);
         let planned = (job.planned.pieces, job.planned.items);
         assert_eq!(planned, (parts, CLIPS as u64), "{layout}");
-        assert!(job.planned.bytes > 0, "{layout}");
+        assert!(job.planned.bytes.is_some(), "{layout}");
         job.by_four();
         job.again_in_reverse();
         let into = &job.into;

@@ -126,6 +126,15 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     vectors.write("other.safetensors", 2.0).expect_code(0);
     refused(&spin, "other.safetensors", "has another vector for");
     refused(&items, "other.safetensors", "has another vector for");
+    // So it is by a run that begins with the weights; without a table that run takes the vectors of the first.
+    let begin = |more: &[&str]| {
+        let start = ["--config", arg(&settings), "--init", arg(&run)];
+        workshop.train_with("motionrefit", "begun", &[&start, more].concat())
+    };
+    let other = workshop.path("other.safetensors");
+    begin(&["--text-encoder", arg(&other)]).expect_refused("has another vector for");
+    assert!(!workshop.path("begun").exists());
+    begin(&["--steps", "2"]).expect_code(0);
 }
 
 /// Writes a DistilBERT of one layer, whose vocabulary is the letters. Its weights depend on `phase`.

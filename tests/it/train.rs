@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::store::{Disk, Store};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
@@ -205,6 +206,33 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
 }
 
 #[test]
+fn a_run_is_written_by_one_process_and_into_no_dataset() {
+    let workshop = Workshop::open();
+    workshop.train("motionrefit", "run", "2").expect_code(0);
+    let lock = Disk.lock(&workshop.path("run"), "the other run");
+    let ran = workshop.train("motionrefit", "run", "2").expect_code(75);
+    assert_eq!(ran.json::<Value>()["code"], "E-LOCKED");
+    ran.expect_said("the other run");
+    // Readers take no lock.
+    workshop.run("train plot @run --out @losses.svg");
+    drop(lock.expect("free"));
+    workshop.train("motionrefit", "run", "2").expect_code(0);
+
+    workshop.put("mld.toml", crate::variants::SMALL);
+    for line in [
+        "train tmr @dataset --out @dataset --config @encoder.toml --steps 1",
+        "train mld @dataset --out @dataset --config @mld.toml --steps 1",
+        "train nearest @dataset --out @dataset",
+    ] {
+        let ran = workshop.typed(&format!("--json {line}")).expect_code(1);
+        assert_eq!(ran.json::<Value>()["code"], "E-OCCUPIED", "{line}");
+    }
+    for made in ["config.json", "autoencoder", "triplets"] {
+        assert!(!workshop.dataset().join(made).exists(), "{made}");
+    }
+}
+
+#[test]
 fn a_seed_in_a_file_counts_unless_one_is_given_and_fixed_pairs_are_validated_as_all_others() {
     let workshop = Workshop::open();
     let seeded = format!("seed = 5\n{SMALL}");
@@ -253,7 +281,10 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
         let lineage = workshop.record(&begun)["lineage"].clone();
         assert_eq!(lineage[0]["by"], "extend");
         assert_eq!(lineage[1]["by"], "init");
-        train("none", "--init @dataset").expect_code(1);
+        for nothing in ["--init @dataset", "--extend"] {
+            train("none", nothing).expect_code(1);
+            assert!(!workshop.path("none").exists(), "{model} {nothing}");
+        }
     }
     let poses = "train j2s @dataset --out @poses --preset official --steps";
     workshop.run(&format!("{poses} 4"));
@@ -280,6 +311,10 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         ("--temperature=-1", "setting temperature is not usable"),
         ("--prior=-1", "setting prior is not usable"),
         ("--guidance nan", "setting guidance is not usable"),
+        (
+            "--checkpoint epoch-9",
+            "has no checkpoint epoch-9; it has best, last",
+        ),
     ] {
         let line = format!("{edit} --text wave --out @none.npz {more}");
         workshop.typed(&line).expect_refused(said);
@@ -473,6 +508,24 @@ fn networks_go_out_under_the_released_names_and_come_back() {
         )
     });
     assert!(guide == back);
+    let path = workshop.path("out/coordinator.safetensors");
+    let mut bytes = fs::read(path).expect("weights");
+    let hash = blake3::hash(&bytes).to_hex();
+    assert_eq!(workshop.record("back")["imported"], hash.as_str());
+    import("out/coordinator.safetensors").expect_code(0);
+    // Other weights do not take the place of those of the run.
+    let file = safetensors::SafeTensors::deserialize(&bytes).expect("safetensors");
+    let bias = file.tensor("pred.2.bias").expect("a tensor").data();
+    let place = bias.as_ptr().addr() - bytes.as_ptr().addr();
+    bytes[place] ^= 1;
+    workshop.put("other.safetensors", bytes);
+    import("other.safetensors").expect_refused("holds the import of another file");
+    for unused in ["--heads 2", "--stats nowhere", "--text-encoder nowhere"] {
+        let option = unused.split(' ').next().expect("an option");
+        import(&format!("other.safetensors {unused}")).expect_refused(&format!(
+            "the import of coordinator makes no use of {option}"
+        ));
+    }
     workshop.put("broken.pth", b"PK\x03\x04 no archive");
     import("broken.pth").expect_refused("broken.pth");
     let turned = r#"{"min": [1, 1, 1], "max": [-1, 2, 2]}"#;
@@ -536,6 +589,7 @@ fn devices_are_listed_on_any_command_line_and_measured_and_others_are_refused() 
         ("j2s", "--text-encoder none"),
         ("mdm", "--compose none"),
         ("nearest", "--steps 3"),
+        ("nearest", "--extend"),
     ] {
         let line = format!("train {model} x --out y {unused}");
         let option = unused.split(' ').next().expect("an option");

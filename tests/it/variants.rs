@@ -70,6 +70,18 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
         ))
     };
     refuse_what_makes_none(&workshop);
+    // The body of a generator is that of the dataset.
+    let mut other = workshop.record("mld");
+    other["skeleton_hash"] = "another".into();
+    workshop.put("other/config.json", other.to_string());
+    workshop
+        .typed("variants @dataset --generator @other --instructions captions --out @none")
+        .expect_refused("the generator in");
+    for refused in ["--extend", "--init @mld"] {
+        workshop
+            .typed(&format!("train mld @dataset --out @mld {refused}"))
+            .expect_refused("MLD consists of two runs");
+    }
     let first = made("candidates");
     let count = |of: &Value, name: &str| of["counts"][name].as_u64().expect("a count");
     assert_eq!((count(&first, "bases"), count(&first, "variants")), (3, 48));

@@ -8,6 +8,7 @@
 //! RUN/checkpoint/best/          weights at the lowest validation loss
 //! RUN/checkpoint/epoch-50/      weights after 50 epochs, if the settings keep them
 //! RUN/checkpoint/*/manifest.json  length and BLAKE3 of every file
+//! RUN/meta/LOCK                 locked while a process writes to the run
 //! ```
 //!
 //! A checkpoint is written atomically: to a temporary folder, which is then renamed.
@@ -17,10 +18,11 @@ mod record;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::store::if_exists;
+use datasets_spec::dataset::Staging;
+use datasets_spec::store::{Disk, Lock, Locking, Store, if_exists};
 use kinematics::normalise::Normalizer;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -108,15 +110,20 @@ impl<'a, P: AsRef<Path> + ?Sized> From<&'a P> for Start<'a> {
     }
 }
 
-impl Start<'_> {
+impl<'a> Start<'a> {
+    /// The run whose fitted parts and texts hold: this run if it has begun, else the one it starts from.
+    pub(crate) fn known(&self) -> Option<&'a Path> {
+        let own = self.run.join(CONFIG).exists().then_some(self.run);
+        own.or(self.init)
+    }
+
     /// The record with the run's fitted parts: the run's own record if it has begun, else that of the run it starts
     /// from.
     pub(crate) fn fitted<C: DeserializeOwned>(
         &self,
         kind: &'static str,
     ) -> Result<Option<C>, Error> {
-        let own = self.run.join(CONFIG).exists().then_some(self.run);
-        own.or(self.init)
+        self.known()
             .map(|dir| Ok(read_record::<C>(dir, kind)?.config))
             .transpose()
     }
@@ -181,114 +188,83 @@ struct FileEntry {
     blake3: String,
 }
 
-/// The folder of a training run.
-#[derive(Clone, Debug)]
+/// The folder of a training run. No other process writes to it until the value is dropped.
+#[derive(Debug)]
 pub struct Run {
     dir: PathBuf,
     /// Folder and files of the weights to start from.
     init: Option<(PathBuf, Files)>,
     /// New record and lineage of an extended run. [`Run::settle`] writes them once the extension is certain to succeed.
     extended: Option<(Value, Vec<Ancestor>)>,
+    /// `None` if the file system has no locks.
+    _lock: Option<Box<dyn Lock>>,
+}
+
+/// Checks that a folder to which a run is written is no dataset.
+///
+/// # Errors
+/// The folder holds a dataset (`E-OCCUPIED`), or it cannot be listed.
+pub(crate) fn check_free(dir: &Path) -> Result<(), Error> {
+    match Staging::newest_version(&Disk, dir)? {
+        0 => Ok(()),
+        _ => Err(work::Error::Occupied {
+            path: dir.to_owned(),
+        }
+        .into()),
+    }
+}
+
+/// Locks a run against other processes that would write to it. Readers take no lock.
+fn lock(dir: &Path) -> Result<Option<Box<dyn Lock>>, Error> {
+    let meta = dir.join("meta");
+    fs::create_dir_all(&meta).map_err(Error::io("create", &meta))?;
+    match Disk.lock(dir, &format!("process {}", std::process::id())) {
+        Ok(Locking::Held(lock)) => Ok(Some(lock)),
+        Ok(Locking::Taken { holder }) => Err(datasets_spec::Error::Locked {
+            path: dir.to_owned(),
+            holder,
+        }
+        .into()),
+        Ok(Locking::NoLocks) => Ok(None),
+        // Disks of clusters may be mounted without locks.
+        Err(error) if error.kind() == ErrorKind::Unsupported => Ok(None),
+        Err(error) => Err(Error::io("lock", dir)(error)),
+    }
 }
 
 impl Run {
-    /// Starts a run, or reopens the folder's run. A reopened run must have the same record, except for the settings
-    /// that [`Start::extend`] may change.
+    /// Starts a run, or reopens the folder's run, and locks it. A reopened run must have the same record, except for
+    /// the settings that [`Start::extend`] may change.
     ///
     /// # Errors
-    /// The folder holds another run, or cannot be read or written.
+    /// The folder holds another run or a dataset, another process writes to it (`E-LOCKED`), or it cannot be read or
+    /// written. A folder that did not exist is made only if the run begins.
     pub fn open<'a, C: Serialize + DeserializeOwned>(
         start: impl Into<Start<'a>>,
         record: &RunRecord<C>,
     ) -> Result<Self, Error> {
         let start = start.into();
-        let path = start.run.join(CONFIG);
-        fs::create_dir_all(start.run).map_err(Error::io("create", start.run))?;
+        let (dir, path) = (start.run, start.run.join(CONFIG));
+        check_free(dir)?;
         // Both documents are parsed from text, so that numbers compare as they are written.
         let asked = to_value(record).map_err(json_error(&path))?;
-        match text_of(&path)? {
-            Some(recorded) => Self::open_again(start, record, asked, &recorded),
-            None => Self::begin(start, record, &asked),
-        }
-    }
-
-    fn begin<C: Serialize + DeserializeOwned>(
-        start: Start<'_>,
-        record: &RunRecord<C>,
-        asked: &Value,
-    ) -> Result<Self, Error> {
-        let dir = start.run;
-        if start.extend {
-            return Err(Error::not_a_run(
-                dir,
-                &record.kind,
-                "there is nothing to extend",
-            ));
-        }
-        let mut lineage = Vec::new();
-        let mut init = None;
-        if let Some(from) = start.init {
-            let (past, files) = begin_with(from, record, asked)?;
-            lineage = past;
-            init = Some((from.to_owned(), files));
-        }
-        write_record(&dir.join(CONFIG), asked, &lineage)?;
-        Ok(Self {
-            dir: dir.to_owned(),
-            init,
-            extended: None,
-        })
-    }
-
-    /// Reopens the run whose `config.json` is the text `recorded`. `asked` is the record of this call.
-    fn open_again<C: Serialize + DeserializeOwned>(
-        start: Start<'_>,
-        record: &RunRecord<C>,
-        asked: Value,
-        recorded: &str,
-    ) -> Result<Self, Error> {
-        let dir = start.run;
-        let path = dir.join(CONFIG);
-        let json = json_error(&path);
-        let kind: Value = serde_json::from_str(recorded).map_err(json)?;
-        if kind["kind"] != asked["kind"] {
-            let reason = format!("it is a run of {}", kind["kind"]);
+        if start.extend && !path.exists() {
+            let reason = "there is nothing to extend";
             return Err(Error::not_a_run(dir, &record.kind, reason));
         }
-        // A setting that an earlier version did not record gets the value that this version used.
-        let recorded: RunRecord<C> = parse_record(recorded).map_err(json)?;
-        let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
-        if recorded.skeleton_hash.is_none() {
-            differences.remove("skeleton_hash");
-        }
-        check_changes(start, differences.keys())?;
-        let init = match start.init {
-            Some(from) => {
-                let (past, files) = begin_with(from, record, &asked)?;
-                check_beginning(dir, &recorded.lineage, &past)?;
-                Some((from.to_owned(), files))
-            }
-            None => {
-                check_needs_no_init(dir, &recorded)?;
-                None
-            }
-        };
+        let past = start.init.map(|from| begin_with(from, record, &asked));
+        let (past, init) = past.transpose()?.unzip();
+        let lock = lock(dir)?;
         let mut extended = None;
-        if !differences.is_empty() {
-            let files = read(dir, Slot::Last)?.unwrap_or_default();
-            let mut lineage = recorded.lineage.clone();
-            lineage.push(Ancestor {
-                by: Inheritance::Extend,
-                weights: weights_hash(&recorded.config, &files),
-                step: step_of(&files, "step"),
-                changed: differences,
-            });
-            extended = Some((asked, lineage));
+        match text_of(&path)? {
+            Some(recorded) => extended = changes(start, record, asked, &recorded, past)?,
+            None => write_record(&path, &asked, &past.unwrap_or_default())?,
         }
         Ok(Self {
             dir: dir.to_owned(),
-            init,
+            init: start.init.map(Path::to_owned).zip(init),
             extended,
+            _lock: lock,
         })
     }
 
@@ -392,6 +368,49 @@ impl Run {
     }
 }
 
+/// Checks that `asked`, the record of this call, goes on with the run whose `config.json` is the text `recorded`. `past`
+/// is the lineage of the weights to start from, if any were asked for. Returns the new record and lineage if settings
+/// change.
+fn changes<C: Serialize + DeserializeOwned>(
+    start: Start<'_>,
+    record: &RunRecord<C>,
+    asked: Value,
+    recorded: &str,
+    past: Option<Vec<Ancestor>>,
+) -> Result<Option<(Value, Vec<Ancestor>)>, Error> {
+    let dir = start.run;
+    let path = dir.join(CONFIG);
+    let json = json_error(&path);
+    let kind: Value = serde_json::from_str(recorded).map_err(json)?;
+    if kind["kind"] != asked["kind"] {
+        let reason = format!("it is a run of {}", kind["kind"]);
+        return Err(Error::not_a_run(dir, &record.kind, reason));
+    }
+    // A setting that an earlier version did not record gets the value that this version used.
+    let recorded: RunRecord<C> = parse_record(recorded).map_err(json)?;
+    let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
+    if recorded.skeleton_hash.is_none() {
+        differences.remove("skeleton_hash");
+    }
+    check_changes(start, differences.keys())?;
+    match past {
+        Some(past) => check_beginning(dir, &recorded.lineage, &past)?,
+        None => check_needs_no_init(dir, &recorded)?,
+    }
+    if differences.is_empty() {
+        return Ok(None);
+    }
+    let files = read(dir, Slot::Last)?.unwrap_or_default();
+    let mut lineage = recorded.lineage.clone();
+    lineage.push(Ancestor {
+        by: Inheritance::Extend,
+        weights: weights_hash(&recorded.config, &files),
+        step: step_of(&files, "step"),
+        changed: differences,
+    });
+    Ok(Some((asked, lineage)))
+}
+
 fn append(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let mut options = OpenOptions::new();
     let opened = options.create(true).append(true).open(path);
@@ -459,10 +478,26 @@ pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
 ) -> Result<Opened<C>, Error> {
     let record = read_record(run_dir, kind)?;
     let files = read(run_dir, slot)?.ok_or_else(|| {
-        let reason = format!("it holds no checkpoint {:?}", slot.name());
-        Error::not_a_run(run_dir, kind, reason)
+        let (run, slots) = (run_dir.display(), slots_of(run_dir));
+        Error::Refused(match slots.is_empty() {
+            true => format!("{run} has no checkpoint yet; train it first"),
+            false => {
+                let (slot, slots) = (slot.name(), slots.join(", "));
+                format!("{run} has no checkpoint {slot}; it has {slots}")
+            }
+        })
     })?;
     Ok(Opened::new(record, files))
+}
+
+/// Names of the checkpoints of a run.
+fn slots_of(run_dir: &Path) -> Vec<String> {
+    let entries = fs::read_dir(run_dir.join("checkpoint"));
+    let names = entries.into_iter().flatten().flatten();
+    let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.filter(|name| name.parse::<Slot>().is_ok()).collect();
+    names.sort();
+    names
 }
 
 /// Takes a file out of the files of a checkpoint.
@@ -512,9 +547,9 @@ fn check_changes<'a>(
         remedy: if start.extend {
             "--extend changes length, rates and intervals alone"
         } else if may_change(field) {
-            "continue it with --extend, with its own config.json, or choose another folder"
+            "continue it with --extend, or with the settings it began with, or choose another folder"
         } else {
-            "continue it with its own config.json or choose another folder"
+            "continue it with the settings it began with, or choose another folder"
         },
     })
 }

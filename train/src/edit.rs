@@ -16,12 +16,14 @@ use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
 use crate::error::motion_error;
 use crate::j2s::{PoseNet, Refinement, solve};
+use crate::kind::Editing;
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
 use crate::system::Setting::{self, Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, named_with,
+    EditConfig, EditInput, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
+    named_with,
 };
 use crate::text::clip::ClipModel;
 use crate::{Error, Session};
@@ -40,7 +42,22 @@ struct MotionRefitSystem {
 /// clips of the Bandai-Namco set's test split, so results on that split are biased.
 const NETWORK_PRIOR: f64 = 0.01;
 
-pub(crate) fn open(
+pub(crate) fn open() -> Editing {
+    Editing {
+        uses: &[
+            EditInput::Checkpoint,
+            EditInput::Batch,
+            EditInput::Guidance,
+            EditInput::Temperature,
+            EditInput::Coordinator,
+            EditInput::Poses,
+            EditInput::Fit,
+        ],
+        open: system,
+    }
+}
+
+fn system(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,

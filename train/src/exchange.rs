@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
+use datasets_spec::store::{Disk, Store};
 use kinematics::normalise::Normalizer;
 use pickle::{self, Value, npy};
 use safetensors::SafeTensors;
@@ -15,6 +16,7 @@ use crate::Error;
 use crate::checkpoint::{self, Files, Run, RunRecord, Slot, open_for_use, take, write_atomically};
 use crate::config::{BertVectors, NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
+use crate::error::json_error;
 use crate::features::FeatureStats;
 use crate::fit::{self, EditorRecord};
 use crate::mdm::{self, MdmConfig, MdmRecord};
@@ -105,7 +107,40 @@ pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
 ) -> Result<(), Error> {
     let files = network.to_files(run_dir)?;
     let record = RunRecord::new(kind, "imported", skeleton, record);
-    Run::open(run_dir, &record)?.write(Slot::Best, &files)
+    write_weights(&Run::open(run_dir, &record)?, &files)
+}
+
+/// Writes the weights of an imported run, unless it has them. A run with other weights is refused.
+fn write_weights(run: &Run, files: &Files) -> Result<(), Error> {
+    match checkpoint::read(run.dir(), Slot::Best)? {
+        Some(known) if known == *files => Ok(()),
+        Some(_) => Err(other_import(run.dir())),
+        None => run.write(Slot::Best, files),
+    }
+}
+
+fn other_import(run_dir: &Path) -> Error {
+    Error::Refused(format!(
+        "{} holds the import of another file; choose another folder",
+        run_dir.display()
+    ))
+}
+
+/// Notes in the record of an imported run which file it was imported from.
+///
+/// # Errors
+/// The run was imported from another file, or a file cannot be read or written.
+pub fn note_source(run_dir: &Path, file: &Path) -> Result<(), Error> {
+    let hash = Disk.hash(file).map_err(Error::io("read", file))?;
+    let mut record = checkpoint::read_any(run_dir)?;
+    match &record.imported {
+        Some(known) if *known == hash => return Ok(()),
+        Some(_) => return Err(other_import(run_dir)),
+        None => record.imported = Some(hash),
+    }
+    let path = run_dir.join(checkpoint::CONFIG);
+    let text = serde_json::to_string_pretty(&record).map_err(json_error(&path))?;
+    write_atomically(&path, text.as_bytes())
 }
 
 /// The text encoder of a TMR trained elsewhere.
@@ -171,7 +206,7 @@ pub fn import_motion_encoder(
     if let Some(folder) = folder.filter(|_| !copy.exists()) {
         unpack(folder, &copy, device)?;
     }
-    run.write(Slot::Best, &files)
+    write_weights(&run, &files)
 }
 
 /// One of TMR's encoders, its sizes, and its input width. Lightning's checkpoints put `name` before the tensor names;

@@ -179,7 +179,7 @@ impl EditHistory {
         serde_json::to_string(self).expect("numbers and texts serialise")
     }
 
-    /// Name of the motion that was opened.
+    /// Id of the motion that was opened: that of a clip, or of a file its content hash; in earlier versions its path.
     pub fn id(&self) -> &str {
         &self.id
     }

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::checkpoint::Start;
 use crate::config::{NetworkConfig, Preset, RunLength, RunSettings, overlay};
-use crate::system::{EditConfig, EditSystem, SystemSource};
+use crate::system::{EditConfig, EditInput, EditSystem, SystemSource};
 use crate::text::source::TextEncoderSource;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
@@ -30,8 +30,28 @@ pub struct ModelKind {
     pub preset: fn(Preset) -> Value,
     /// Trains a model of this kind on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
-    /// Opens a trained model as an editing system; `None` for models that do not edit motions.
-    pub open: Option<OpenSystem>,
+    /// How a trained model is opened as an editing system; `None` for models that do not edit motions.
+    pub open: Option<fn() -> Editing>,
+}
+
+impl ModelKind {
+    /// Refuses inputs of an edit that the model would ignore. Each input has a name for the error.
+    ///
+    /// # Errors
+    /// The model does not use an input.
+    pub fn check_edit_inputs(
+        &self,
+        given: impl IntoIterator<Item = (&'static str, EditInput)>,
+    ) -> Result<(), Error> {
+        let uses = self.open.map_or(&[][..], |open| open().uses);
+        match given.into_iter().find(|(_, input)| !uses.contains(input)) {
+            Some((name, _)) => Err(Error::Refused(format!(
+                "the model {} makes no use of {name}; edit without it",
+                self.name
+            ))),
+            None => Ok(()),
+        }
+    }
 }
 
 /// An input of a training that not every model uses.
@@ -47,6 +67,15 @@ pub enum Input {
     Length,
     /// Memory of the device.
     Memory,
+}
+
+/// A model as an editor.
+#[derive(Clone, Copy, Debug)]
+pub struct Editing {
+    /// Inputs of an edit that the model uses; others are refused.
+    pub uses: &'static [EditInput],
+    /// Opens a trained model.
+    pub open: OpenSystem,
 }
 
 pub(crate) fn document<T: Serialize>(settings: &T) -> Value {

@@ -13,6 +13,7 @@ use crate::config::{Preset, ensure};
 use crate::diffusion::guide;
 use crate::error::motion_error;
 use crate::humanml3d::{SourceFeatures, feature_mask};
+use crate::kind::Editing;
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord};
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
@@ -23,8 +24,8 @@ use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
 use crate::system::Setting::{Count, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, in_groups,
-    named_with,
+    EditConfig, EditInput, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
+    in_groups, named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -47,13 +48,25 @@ struct MdmBpSystem {
     device: Device,
 }
 
-pub(crate) fn open(
+pub(crate) fn open() -> Editing {
+    Editing {
+        uses: &[
+            EditInput::Checkpoint,
+            EditInput::Batch,
+            EditInput::Guidance,
+            EditInput::Temperature,
+            EditInput::Inpainting,
+        ],
+        open: system,
+    }
+}
+
+fn system(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    source.check_alone("MDM-BP makes whole bodies and uses no other network")?;
     let mut opened = open_for_use::<MdmRecord>(&source.run, source.slot, KIND)?;
     let record = opened.record.config;
     record.train.check()?;

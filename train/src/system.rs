@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use work::commit_edits;
 
 use crate::checkpoint::Slot;
-use crate::config::{finite, not_negative};
+use crate::config::{ensure, finite, not_negative};
 use crate::error::{json_error, motion_error};
 use crate::sample::{EditTimes, FitMethod, TimedInstruction, check_ranges};
 use crate::text::source::TextEncoderSource;
@@ -247,18 +247,49 @@ impl SystemSource {
         }
     }
 
-    /// Refuses a coordinator and a pose network for a system that uses neither.
-    pub(crate) fn check_alone(&self, why: &str) -> Result<(), Error> {
-        for (helper, what) in [
-            (&self.coordinator, "the coordinator"),
-            (&self.poses, "the pose network"),
-        ] {
-            if helper.is_some() {
-                return Err(Error::misfit(what, why));
-            }
-        }
-        Ok(())
+    /// The inputs that differ from the best checkpoint alone, by their options of `stance edit`.
+    pub(crate) fn given(&self) -> impl Iterator<Item = (&'static str, EditInput)> {
+        use EditInput::{Checkpoint, Coordinator, Poses};
+        given([
+            ("--checkpoint", Checkpoint, self.slot != Slot::Best),
+            ("--coordinator", Coordinator, self.coordinator.is_some()),
+            ("--poses", Poses, self.poses.is_some()),
+        ])
     }
+}
+
+/// An input of an edit that not every model uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EditInput {
+    /// Checkpoint of the run.
+    Checkpoint,
+    /// Number of windows generated at a time.
+    Batch,
+    /// Weight of the text guidance.
+    Guidance,
+    /// Factor of the noise.
+    Temperature,
+    /// Coordinator and its guidance.
+    Coordinator,
+    /// Pose network.
+    Poses,
+    /// Fit of SMPL-X parameters.
+    Fit,
+    /// Weight of the guidance by the source.
+    SourceGuidance,
+    /// Number of diffusion steps.
+    Steps,
+    /// Start from the source instead of noise.
+    FromSource,
+    /// Diffusion step at which MDM-BP starts, and number of its last steps that keep no body part.
+    Inpainting,
+}
+
+fn given<const N: usize>(
+    inputs: [(&'static str, EditInput, bool); N],
+) -> impl Iterator<Item = (&'static str, EditInput)> {
+    let given = inputs.into_iter().filter(|(.., is_given)| *is_given);
+    given.map(|(name, input, _)| (name, input))
 }
 
 /// Section `[edit]` of a plan: settings with which items are edited.
@@ -319,10 +350,10 @@ impl Default for EditConfig {
 }
 
 impl EditConfig {
-    /// Refuses numbers with which no motion can be made.
+    /// Refuses settings with which no motion can be made, and a prior that the fit would ignore.
     ///
     /// # Errors
-    /// A number is not finite; or the temperature or the prior is negative.
+    /// A number is not finite; the temperature or the prior is negative; or the fit makes no use of the prior.
     pub fn check(&self) -> Result<(), Error> {
         for (field, value) in [
             ("guidance", self.guidance),
@@ -334,7 +365,48 @@ impl EditConfig {
         for (field, value) in [("temperature", self.temperature), ("prior", self.prior)] {
             value.map_or(Ok(()), |value| not_negative(field, value))?;
         }
-        Ok(())
+        let is_used = self.prior.is_none() || self.fit == FitMethod::Exact;
+        ensure(is_used, "prior", "the paper's fit has none")
+    }
+
+    /// The inputs that differ from the default, by their options of `stance edit`.
+    pub fn given(&self) -> impl Iterator<Item = (&'static str, EditInput)> {
+        use EditInput::{
+            Batch, Coordinator, Fit, FromSource, Guidance, Inpainting, SourceGuidance, Steps,
+            Temperature,
+        };
+        let usual = Self::default();
+        // Listed one by one, so that a new setting cannot be forgotten. Every system has a name and takes.
+        let Self {
+            name: _,
+            takes: _,
+            guidance,
+            source_guidance: source,
+            steps,
+            from_source,
+            temperature,
+            max_batch,
+            fit,
+            prior,
+            coordinator_strength: strength,
+            coordinator_steps: guided,
+            start,
+            release,
+        } = self;
+        given([
+            ("--guidance", Guidance, guidance.is_some()),
+            ("--source-guidance", SourceGuidance, source.is_some()),
+            ("--diffusion-steps (edit.steps)", Steps, steps.is_some()),
+            ("--from-source", FromSource, *from_source),
+            ("--temperature", Temperature, temperature.is_some()),
+            ("--max-batch", Batch, *max_batch != usual.max_batch),
+            ("--fit", Fit, *fit != usual.fit),
+            ("--prior", Fit, prior.is_some()),
+            ("--coordinator-strength", Coordinator, strength.is_some()),
+            ("--coordinator-steps", Coordinator, guided.is_some()),
+            ("--start", Inpainting, start.is_some()),
+            ("--release", Inpainting, release.is_some()),
+        ])
     }
 }
 
@@ -669,6 +741,13 @@ mod tests {
             let error = refused.expect_err("not usable");
             assert!(error.contains(field), "{error}");
         }
+        let ignored = EditConfig {
+            fit: FitMethod::Paper,
+            prior: Some(0.1),
+            ..EditConfig::default()
+        };
+        let error = ignored.check().expect_err("not used").to_string();
+        assert!(error.contains("prior"), "{error}");
     }
 
     #[test]

@@ -26,7 +26,7 @@ impl Store {
     }
 
     /// Imports tasks. Tasks whose key exists stay unchanged, except that an accepted answer fills one that nobody has
-    /// worked on.
+    /// worked on. What is about other motions than the task of its key is left out.
     pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
         let mut done = Imported::default();
         for group in tasks.chunks(project::AT_ONCE) {
@@ -36,6 +36,7 @@ impl Store {
             done.known += some.known;
             done.filled += some.filled;
             done.conflicts.extend(some.conflicts);
+            done.others.extend(some.others);
         }
         Ok(done)
     }
@@ -59,15 +60,22 @@ fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -
     let mut done = Imported::default();
     let mut next = tx.next_id("task")?;
     for task in tasks {
-        let known = tx.find("SELECT id FROM task WHERE key = ?1", params![task.key])?;
+        let sql = "SELECT id, source, target FROM task WHERE key = ?1";
+        let known: Option<(i64, String, Option<String>)> = tx.find(sql, params![task.key])?;
         match (known, &task.accepted) {
             (None, _) => {
                 put_task(tx, actor, next, task, false, &settings, now)?;
                 done.new += 1;
                 next += 1;
             }
+            // A key does not tell the motions: `stance pairs` with another seed gives known ids to other sources.
+            (Some((_, source, target)), _)
+                if (&source, &target) != (&task.source, &task.target) =>
+            {
+                done.others.push(task.key.clone());
+            }
             (Some(_), None) => done.known += 1,
-            (Some(id), Some(answer)) => fill(tx, actor, id, task, answer, &mut done, now)?,
+            (Some((id, ..)), Some(answer)) => fill(tx, actor, id, task, answer, &mut done, now)?,
         }
     }
     Ok(done)
@@ -86,8 +94,8 @@ fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
     label.into_iter().chain(answered)
 }
 
-/// Accepts an imported answer to a known task, unless the task has another answer, or somebody is working on it or has
-/// decided about it.
+/// Accepts an imported answer to a known task about the same motions, unless the task has another answer, or somebody
+/// is working on it or has decided about it.
 fn fill(
     tx: &mut dyn Tx,
     actor: Option<i64>,

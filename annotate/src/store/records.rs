@@ -93,7 +93,7 @@ pub struct NewTask {
     /// Suggestions.
     pub suggestions: Vec<NewSuggestion>,
     /// A decided answer of the source, with which the task starts as accepted. A task that exists already becomes
-    /// accepted if nobody has worked on it.
+    /// accepted if it is about the same motions and nobody has worked on it.
     pub accepted: Option<Answer>,
     /// Author and acceptance of `accepted`, as stated by an export.
     pub credit: Option<Credit>,
@@ -333,6 +333,9 @@ pub struct Imported {
     pub filled: i64,
     /// Keys of tasks whose imported answer was skipped, because the task already has an answer or a decision.
     pub conflicts: Vec<String>,
+    /// Keys of tasks that existed and are about other motions, and stay unchanged: what was imported under them was
+    /// skipped.
+    pub others: Vec<String>,
 }
 
 names! {

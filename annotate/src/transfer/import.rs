@@ -29,7 +29,7 @@ const VARIANTS_FACT: &str = "variants";
 pub(super) const CANDIDATE: &str = "takes:";
 /// Prefix of the key of other pairs, followed by the id of the pair.
 pub(super) const PAIR: &str = "pair:";
-/// Maximum number of conflicts that an import lists by name.
+/// Maximum number of conflicts, and of tasks about other clips, that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
 /// Name of a note of the store: an SQL condition that selects the clips for which tasks are created. Without the note,
@@ -58,12 +58,19 @@ impl Taken {
         }
     }
 
-    /// Adds the counts and conflicts of an import of answers.
+    /// Adds the counts and conflicts of an import of answers. Conflicts about other clips are also counted apart.
     pub(super) fn take(&mut self, done: Imported) {
         self.count("new_tasks", done.new);
         self.count("filled_tasks", done.filled);
         self.count("known_tasks", done.known);
-        self.count("conflicts", done.conflicts.len() as i64);
+        let conflicts = done.conflicts.len() + done.others.len();
+        self.count("conflicts", conflicts as i64);
+        self.report_others(
+            &done.others,
+            "the import",
+            "what it says of them is left out: import it into another project (`stance annotate DATASET --store \
+             FILE`), of a dataset with these pairs",
+        );
         let conflicts = done.conflicts.iter().take(LISTED_CONFLICTS);
         self.messages.extend(conflicts.map(|key| {
             format!(
@@ -75,6 +82,24 @@ impl Taken {
             self.messages
                 .push(format!("{more} more conflicts are not listed"));
         }
+    }
+
+    /// Counts and names the tasks that are about other clips than what `import` has under their keys. `rest` says what
+    /// became of that, and what to do.
+    fn report_others(&mut self, keys: &[String], import: &str, rest: &str) {
+        self.report("tasks_of_other_clips", keys.len(), || {
+            let (count, first) = (keys.len(), &keys[..keys.len().min(LISTED_CONFLICTS)]);
+            let more = match count - first.len() {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            format!(
+                "{count} tasks of this project are about other clips than {import} has under their keys, as happens \
+                 when `stance pairs` runs with another seed; the tasks stay as they are, and {rest}. The keys: \
+                 {}{more}",
+                first.join(", ")
+            )
+        });
     }
 }
 
@@ -200,9 +225,10 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted
 /// answers. Clips of one action are paired as candidates.
 ///
-/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. Known motions get
-/// the id, split, captions, style and action of the dataset, and their tasks the split. If the store has a note
-/// [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.
+/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. A pair whose id
+/// is that of a task about other clips gets no task and no answer, and is reported. Known motions get the id, split,
+/// captions, style and action of the dataset, and their tasks the split. If the store has a note [`CHOSEN`] with a
+/// condition, new tasks are created only for clips that meet it, and for pairs of such clips.
 ///
 /// # Errors
 /// The dataset cannot be read, the condition cannot be evaluated, or the store fails.
@@ -244,16 +270,23 @@ pub fn from_dataset(
         tasks.extend(bundled(&name, list));
     }
     let total = tasks.len() as i64;
-    let mut seen = 0;
+    let (mut seen, mut others) = (0, Vec::new());
     for chunk in tasks.chunks(2000) {
         let done = store.import(actor, chunk.to_vec(), now)?;
         taken.count("new_tasks", done.new);
         taken.count("filled_tasks", done.filled);
         // The dataset may contain an earlier export of this store. Later decisions are kept, without a message.
         taken.count("known_tasks", done.known + done.conflicts.len() as i64);
+        others.extend(done.others);
         seen += chunk.len() as i64;
         progress(seen, total);
     }
+    taken.report_others(
+        &others,
+        "the dataset",
+        "the pairs of the dataset get no task and no answer here: judge them in another project (`stance annotate \
+         DATASET --store FILE`)",
+    );
     Ok(taken)
 }
 
@@ -406,7 +439,8 @@ fn tasks_of_pairs<'a>(
 
 /// Imports the masks and pairs of an exported dataset (`stance export --to stance`) into the tasks of the same motions.
 /// Labels made by people become accepted answers of tasks that nobody has worked on; masks by people whose task has
-/// another answer are left out and reported, and so are labels of motions that this dataset lacks.
+/// another answer are left out and reported, and so are pairs whose task is about other clips, and labels of motions
+/// that this dataset lacks.
 ///
 /// # Errors
 /// A motion has another content in the dataset than in the export, the dataset cannot be read, or the store fails.

@@ -154,6 +154,20 @@ fn answer_in(store: &Store, user: i64, answer: Option<Answer>) -> i64 {
     detail.task.id
 }
 
+/// Imports an accepted answer to the task of a pair that nobody has worked on.
+fn judge(store: &Store, key: &str, verdict: Verdict) {
+    let task = task_of(store, key);
+    let judged = NewTask {
+        key: task.key,
+        source: task.source,
+        target: task.target,
+        accepted: Some(pair(verdict)),
+        ..bare_task(0, TaskKind::Pair)
+    };
+    let done = store.import(None, vec![judged], START).expect("imports");
+    assert_eq!(done.filled, 1, "{done:?}");
+}
+
 fn accept_in(store: &Store, user: i64) {
     let next = review(store, user, ReviewQueue::Sample, START).expect("a task to review");
     let accept = NewReview {
@@ -519,15 +533,7 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
 
     // The rejection of another project stays when it is taken back here.
     let second = fresh_store(&site, "second.sqlite");
-    let task = task_of(&second, "pair:fine-grained1");
-    let judged = NewTask {
-        key: task.key,
-        source: task.source,
-        target: task.target,
-        accepted: Some(pair(Verdict::Unnatural)),
-        ..bare_task(0, TaskKind::Pair)
-    };
-    second.import(None, vec![judged], START).expect("imports");
+    judge(&second, "pair:fine-grained1", Verdict::Unnatural);
     let theirs = export_it(&second).store;
     assert_eq!(listed().len(), 2);
     let users = store.users().expect("users");
@@ -576,16 +582,7 @@ fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
 
     // After an export of another store, only the author of a mask tells which store wrote it.
     let other = fresh_store(&site, "other.sqlite");
-    let candidate = task_of(&other, "takes:clip12|clip13");
-    let judged = NewTask {
-        key: candidate.key,
-        source: candidate.source,
-        target: candidate.target,
-        accepted: Some(pair(Verdict::Keep)),
-        ..bare_task(0, TaskKind::Pair)
-    };
-    let done = other.import(None, vec![judged], START).expect("imports");
-    assert_eq!(done.filled, 1);
+    judge(&other, "takes:clip12|clip13", Verdict::Keep);
     commit_answers(&site, &other);
     reopen("mask:clip01");
     reopen("pair:style10");
@@ -643,6 +640,106 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     assert_eq!(taken.counts["conflicts"], 3);
     assert_eq!(record(reopened).state, TaskState::Open);
     whole(&store);
+}
+
+#[test]
+fn an_answer_about_other_clips_than_the_task_of_its_key_fills_no_task() {
+    let site = Site::new();
+    let store = site.store.as_ref();
+    let key = |number: usize| format!("pair:fine-grained{number}");
+    let before = [0, 1, 2].map(|number| task_of(store, &key(number)));
+    // `stance pairs` with another seed gives known ids to other sources.
+    let mut pairs: Vec<PairRow> = read(&site.dataset);
+    for pair in &mut pairs {
+        if (0..3).any(|number| key(number) == format!("pair:{}", pair.id)) {
+            pair.source_id = MotionId::parse("clip12").expect("an id");
+        }
+    }
+    commit(&site.dataset, &pairs, |row| row.split, "another seed");
+    // Another project judges them, and a pair of the same clips as here.
+    let second = fresh_store(&site, "second.sqlite");
+    for (number, verdict) in [
+        (0, Verdict::Keep),
+        (1, Verdict::Unnatural),
+        (4, Verdict::Keep),
+    ] {
+        judge(&second, &key(number), verdict);
+    }
+    let counted = |taken: &Taken, names: [&str; 2]| names.map(|name| taken.counts[name]);
+    let names_others = |taken: &Taken, numbers: &[usize]| {
+        assert_eq!(taken.counts["tasks_of_other_clips"], numbers.len() as i64);
+        let mut messages = taken.messages.iter();
+        let said = messages.find(|message| message.contains("other clips"));
+        let said = said.unwrap_or_else(|| panic!("{:?}", taken.messages));
+        assert!(said.contains("--store"), "{said}");
+        for number in 0..3 {
+            let is_named = said.contains(&key(number));
+            assert_eq!(is_named, numbers.contains(&number), "{said}");
+        }
+    };
+
+    // The files of the other project fill the task about the same clips alone.
+    let table = write(&site, &second, "table", ExportFormat::Parquet);
+    let lists = write(&site, &second, "lists", ExportFormat::Stance);
+    let mut lists_as_one = release(&lists);
+    lists_as_one["pairs"] = read_json(lists.join("pairs.json"));
+    let same = BTreeMap::from([(key(4), pair(Verdict::Keep))]);
+    let taken = take(store, &table);
+    assert_eq!(counted(&taken, ["filled_tasks", "conflicts"]), [1, 2]);
+    names_others(&taken, &[0, 1]);
+    assert_eq!(answers(store), same);
+    let taken = from_release(store, &lists_as_one, None, START).expect("takes");
+    assert_eq!(counted(&taken, ["filled_tasks", "conflicts"]), [0, 1]);
+    names_others(&taken, &[0]);
+    assert_eq!(answers(store), same);
+
+    // The dataset with its answers fills no other. A pair of other clips that nobody has judged is not a known task.
+    commit_answers(&site, &second);
+    let of_second = pair_rows(&site);
+    let taken = take_dataset(&site, store);
+    assert_eq!(counted(&taken, ["new_tasks", "filled_tasks"]), [0, 0]);
+    names_others(&taken, &[0, 2]);
+    assert_eq!(take_dataset(&site, store), taken, "the same each time");
+    assert_eq!(answers(store), same);
+    for task in before {
+        assert_eq!(task_of(store, &task.key), task);
+    }
+    commit_answers(&site, store);
+    let clips = |rows: BTreeMap<String, PairRow>| -> Vec<(String, MotionId, MotionId)> {
+        let rows = rows.into_values();
+        rows.map(|row| (row.id, row.source_id, row.target_id))
+            .collect()
+    };
+    assert_eq!(clips(pair_rows(&site)), clips(of_second));
+    // A new project has the tasks about these clips.
+    let third = fresh_store(&site, "third.sqlite");
+    let taken = take(&third, &table);
+    assert_eq!(counted(&taken, ["known_tasks", "conflicts"]), [2, 0]);
+    assert_eq!(answers(&third), answers(&second));
+    whole(store);
+}
+
+#[test]
+fn an_answer_fills_the_task_of_a_pair_whose_clip_was_ingested_anew() {
+    let site = Site::new();
+    let store = site.store.as_ref();
+    let key = "pair:fine-grained4";
+    let second = fresh_store(&site, "second.sqlite");
+    judge(&second, key, Verdict::Keep);
+    let table = write(&site, &second, "table", ExportFormat::Parquet);
+    ingest_anew(&site, &[(4, 34)], "anew");
+    let taken = take_dataset(&site, store);
+    assert_eq!(taken.counts["changed_motions"], 1);
+    assert!(
+        !taken.counts.contains_key("tasks_of_other_clips"),
+        "{taken:?}"
+    );
+    let old = site.folder.path().join("old.parquet");
+    let taken = take_without_hashes(store, &rows::<AnnotationRow>(&table, "annotations"), &old);
+    assert_eq!(taken.counts["filled_tasks"], 1);
+    assert_eq!(taken.counts["conflicts"], 0);
+    assert!(answers(store).contains_key(key));
+    whole(store);
 }
 
 fn pair_rows(site: &Site) -> BTreeMap<String, PairRow> {

@@ -10,7 +10,9 @@ use super::layout::{
     DATA, META, SKELETON_FACT, check_free, manifest_path, read_newest, staged_folder, tables_until,
 };
 use super::open::Dataset;
-use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT};
+use crate::manifest::{
+    ANNOTATE_FACTS, Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT,
+};
 use crate::store::{ByPath, Lock, Locking, Store, write_bytes, write_new};
 use crate::table::SCHEMA_VERSION;
 use crate::{Error, Skeleton};
@@ -45,7 +47,7 @@ pub struct Commit {
     pub accounting: Option<Accounting>,
     /// Facts to add.
     pub facts: BTreeMap<String, String>,
-    /// Whether to drop the facts of the previous version except [`REJECTED_PAIRS_FACT`], and its tables except those in
+    /// Whether to drop the facts of the previous version except those of people's labels, and its tables except those in
     /// `carried`. Set if the motions that they derive from are replaced.
     pub fresh: bool,
     /// Tables of the previous version that a fresh commit keeps unchanged, with their plans.
@@ -152,7 +154,9 @@ impl Transaction {
             manifest
                 .plans
                 .retain(|table, _| commit.carried.contains(table));
-            manifest.facts.retain(|name, _| name == REJECTED_PAIRS_FACT);
+            let is_of_people =
+                |name: &str| name == REJECTED_PAIRS_FACT || name.starts_with(ANNOTATE_FACTS);
+            manifest.facts.retain(|name, _| is_of_people(name));
         }
         manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
         manifest.skeleton = commit.skeleton.name().to_owned();
@@ -182,8 +186,22 @@ impl Transaction {
         self.publish(manifest, &commit.plan_hash)
     }
 
-    /// Makes an older version the newest one, under a new number. `tables` replace those of that version; a table
-    /// without files is dropped.
+    /// Facts of an older version once it is restored: what people rejected since stays in [`REJECTED_PAIRS_FACT`].
+    pub fn restored_facts(&self, of: &Manifest) -> BTreeMap<String, String> {
+        let mut rejected = of.rejected_pairs();
+        for (project, pairs) in self.base.iter().flat_map(Manifest::rejected_pairs) {
+            rejected.entry(project).or_default().extend(pairs);
+        }
+        let mut facts = of.facts.clone();
+        if rejected != of.rejected_pairs() {
+            let rejected = serde_json::to_string(&rejected).expect("texts serialise");
+            facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
+        }
+        facts
+    }
+
+    /// Makes an older version the newest one, under a new number, with its [`Transaction::restored_facts`]. `tables`
+    /// replace those of that version; a table without files is dropped.
     ///
     /// # Errors
     /// As [`Transaction::commit`].
@@ -196,6 +214,7 @@ impl Transaction {
         let mut manifest = of.clone();
         manifest.version = self.version();
         manifest.tool_version = TOOL.to_owned();
+        manifest.facts = self.restored_facts(of);
         if !tables.is_empty() {
             manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
         }

@@ -91,7 +91,8 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// Reads the labels of a dataset.
+    /// Reads the labels of a dataset, of all its clips: which of them questions are drawn from decides nothing about what
+    /// training has shown.
     ///
     /// # Errors
     /// The dataset cannot be read.
@@ -117,15 +118,22 @@ impl Shown {
                 shown.groups.insert(id, group);
             }
         }
-        for row in dataset.read::<MaskRow>(Some(Split::Train))? {
-            shown.take_edit(&row.motion_id, Edit::Text(row.text));
+        // `Dataset::read` would leave out what a condition on the clips leaves out.
+        for (path, _) in dataset.files(MaskRow::TABLE, Some(Split::Train)) {
+            let clips: Vec<MotionId> = read_column::<MaskRow, _>(&path, "motion_id")?;
+            let texts: Vec<String> = read_column::<MaskRow, _>(&path, "text")?;
+            for (clip, text) in clips.iter().zip(texts) {
+                shown.take_edit(clip, Edit::Text(text));
+            }
         }
-        for row in dataset.read::<PairRow>(Some(Split::Train))? {
-            let edit = match row.style {
-                Some(style) => Edit::Style(style),
-                None => Edit::Text(row.instruction),
-            };
-            shown.take_edit(&row.source_id, edit);
+        for (path, _) in dataset.files(PairRow::TABLE, Some(Split::Train)) {
+            let clips: Vec<MotionId> = read_column::<PairRow, _>(&path, "source_id")?;
+            let styles: Vec<Option<String>> = read_column::<PairRow, _>(&path, "style")?;
+            let texts: Vec<String> = read_column::<PairRow, _>(&path, "instruction")?;
+            for (clip, (style, text)) in clips.iter().zip(styles.into_iter().zip(texts)) {
+                let edit = style.map_or(Edit::Text(text), Edit::Style);
+                shown.take_edit(clip, edit);
+            }
         }
         Ok(shown)
     }

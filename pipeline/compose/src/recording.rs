@@ -25,6 +25,9 @@ use crate::{COMPOSED, ComposeConfig, Error, Stream, train_stream};
 /// Name of the job.
 pub const JOB: &str = "triplets";
 
+/// Key of the fact with the [`Settings`] that the windows of a folder were recorded with, as JSON.
+const SETTINGS_FACT: &str = "recorded_windows";
+
 /// Kind of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -61,6 +64,15 @@ pub struct Settings {
     pub condition: Option<String>,
 }
 
+/// The settings that the windows of a folder were recorded with; none if it was recorded by version 0.2 or earlier.
+///
+/// # Errors
+/// The settings are of another version.
+pub fn settings_of(windows: &Dataset) -> Result<Option<Settings>, serde_json::Error> {
+    let fact = windows.manifest().facts.get(SETTINGS_FACT);
+    fact.map(|text| serde_json::from_str(text)).transpose()
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -86,7 +98,7 @@ struct Recording {
 }
 
 /// Records the training stream of the dataset at `root` as a separate dataset. An existing recording of the same plan
-/// is kept.
+/// is kept. A folder of windows states the settings ([`settings_of`]).
 ///
 /// # Errors
 /// The training split cannot be composed, or the folder cannot be written.
@@ -207,13 +219,28 @@ impl Recording {
         (plan, row)
     }
 
+    /// The facts that the manifest states.
+    fn facts(&self) -> BTreeMap<String, String> {
+        let settings = serde_json::to_string(&self.settings);
+        let settings = settings.expect("settings are numbers and texts");
+        match self.settings.kind {
+            Kind::Triplets => BTreeMap::new(),
+            Kind::Windows => [(SETTINGS_FACT.to_owned(), settings)].into(),
+        }
+    }
+
     fn is_in(&self, transaction: &Transaction) -> bool {
-        let plan = |table| transaction.base().map_or("", |base| base.plan(table));
+        let Some(base) = transaction.base() else {
+            return false;
+        };
         let has_normalizer = match self.settings.kind {
             Kind::Triplets => true,
-            Kind::Windows => plan(NormalizerRow::TABLE) == self.normalizer().0,
+            Kind::Windows => base.plan(NormalizerRow::TABLE) == self.normalizer().0,
         };
-        plan(self.settings.kind.table()) == self.plan_hash && has_normalizer
+        let states = |(name, value): (&String, &String)| base.facts.get(name) == Some(value);
+        base.plan(self.settings.kind.table()) == self.plan_hash
+            && has_normalizer
+            && self.facts().iter().all(states)
     }
 
     fn num_shards(&self) -> u64 {
@@ -324,6 +351,7 @@ impl Recording {
             plans,
             skeleton: self.skeleton.clone(),
             accounting,
+            facts: self.facts(),
             ..Commit::default()
         })?)
     }

@@ -27,10 +27,10 @@ pub const ANSWERS: &str = "answers.parquet";
 pub const FACTS: &str = "bundle.json";
 /// Member with the card.
 pub const CARD: &str = "README.md";
-/// Version of the layout.
-const FORMAT: u32 = 1;
-/// Maximum bytes of the facts and of the card.
-const MAX_TEXT_LEN: u64 = 1 << 20;
+/// Version of the layout. Version 1 does not state the novelty of the items.
+const FORMAT: u32 = 2;
+/// Maximum bytes of the facts and of the card: the novelty of an item takes some 60 bytes.
+const MAX_TEXT_LEN: u64 = 1 << 24;
 /// Maximum bytes of the answers, packed and unpacked: ten thousand answers of ten seconds take 0.6 GB.
 const MAX_ANSWERS_LEN: u64 = 4 << 30;
 /// Minimum frames of an answer: metrics need a frame with a neighbour on either side.
@@ -55,6 +55,9 @@ pub struct BundleFacts {
     pub item_hash: String,
     /// Number of items.
     pub items: usize,
+    /// Novelty of the items by their ids, which do not cover it; without those whose novelty is not known. `None` in
+    /// bundles of version 1.
+    pub novelty: Option<BTreeMap<String, String>>,
     /// Number of answers to each item.
     pub takes: usize,
     /// Hash of the encoder that scores the answers, hexadecimal; `None` if any encoder may.
@@ -65,8 +68,8 @@ pub struct BundleFacts {
     pub answers_hash: String,
 }
 
-/// The frame rate of each item by its id.
-pub type Rates<'a> = BTreeMap<&'a str, f32>;
+/// The frame rate and the novelty of each item by its id.
+pub type Asked<'a> = BTreeMap<&'a str, (f32, Option<&'a str>)>;
 
 /// A bundle that was checked against its items.
 #[derive(Clone, Debug)]
@@ -103,15 +106,22 @@ impl Bundle {
         let first = rows.first().expect("there is a system");
         let settings = settings_of(first)
             .map_err(|error| refused(format!("its settings are no JSON object: {error}")))?;
-        let rates: Rates<'_> = items.iter().map(|item| (&*item.id, item.fps)).collect();
+        let asked: Asked<'_> = items
+            .iter()
+            .map(|item| (&*item.id, (item.fps, item.novelty.as_deref())))
+            .collect();
+        let novelty = asked
+            .iter()
+            .filter_map(|(id, (_, novelty))| Some(((*id).to_owned(), (*novelty)?.to_owned())));
         let mut facts = BundleFacts {
             format: FORMAT,
             system: system.to_owned(),
             checkpoint_hash: first.checkpoint_hash.clone(),
             settings,
             license: license.to_owned(),
-            item_hash: digest_of_ids(rates.keys().copied()),
+            item_hash: digest_of_ids(asked.keys().copied()),
             items: items.len(),
+            novelty: Some(novelty.collect()),
             takes: 0,
             judge_hash,
             skeleton: skeleton.name().to_owned(),
@@ -121,18 +131,18 @@ impl Bundle {
         let of_items = rows.chunk_by(|a, b| a.id == b.id).map(<[EditRow]>::len);
         facts.takes = of_items.max().unwrap_or(0);
         let mut bundle = Self { facts, rows };
-        bundle.check(&rates, skeleton).map_err(refused)?;
+        bundle.check(&asked, skeleton).map_err(refused)?;
         bundle.facts.answers_hash = hash(&bundle.answers()?);
         Ok(bundle)
     }
 
-    /// Reads a bundle and checks it. The bundle must be complete and hold nothing else, and be made for these items and
-    /// this skeleton. Every item must have the same number of answers, all of one system, each a finite motion of at
+    /// Reads a bundle and checks it. The bundle must be complete and hold nothing else, and be made for these items, of
+    /// these novelties, and this skeleton. Every item must have the same number of answers, all of one system, each a finite motion of at
     /// least three frames at the item's rate.
     ///
     /// # Errors
     /// The bundle breaks one of these rules. The error names the bundle, and the item if it concerns one.
-    pub fn read(path: &Path, items: &Rates<'_>, skeleton: &Skeleton) -> Result<Self, Error> {
+    pub fn read(path: &Path, items: &Asked<'_>, skeleton: &Skeleton) -> Result<Self, Error> {
         let refused = |problem: String| refused(path, problem);
         let file = ByPath
             .read(path)
@@ -156,9 +166,9 @@ impl Bundle {
         let facts = member(&mut zip, FACTS, MAX_TEXT_LEN).map_err(refused)?;
         let facts: BundleFacts = serde_json::from_slice(&facts)
             .map_err(|error| refused(format!("{FACTS} is not understood: {error}")))?;
-        if facts.format != FORMAT {
+        if !(1..=FORMAT).contains(&facts.format) {
             return Err(refused(format!(
-                "{FACTS} is of format {}, and this program reads format {FORMAT}",
+                "{FACTS} is of format {}, and this program reads formats 1 to {FORMAT}",
                 facts.format
             )));
         }
@@ -251,7 +261,7 @@ impl Bundle {
     }
 
     /// Checks the answers against the items. The error does not name the path.
-    fn check(&self, items: &Rates<'_>, skeleton: &Skeleton) -> Result<(), String> {
+    fn check(&self, items: &Asked<'_>, skeleton: &Skeleton) -> Result<(), String> {
         let facts = &self.facts;
         let digest = digest_of_ids(items.keys().copied());
         if facts.item_hash != digest {
@@ -259,6 +269,18 @@ impl Bundle {
                 "it answers the items {}, and these are {digest}; draw the items that it answers",
                 facts.item_hash
             ));
+        }
+        if let Some(stated) = &facts.novelty {
+            for (id, (_, own)) in items {
+                let [stated, own] = [stated.get(*id).map(String::as_str), *own]
+                    .map(|novelty| novelty.unwrap_or("not known"));
+                if stated != own {
+                    return Err(format!(
+                        "its items state the novelty of item {id} as {stated}, and these as {own}: they were drawn from \
+                         other datasets or by other versions of this program; score it on the items that it was made with"
+                    ));
+                }
+            }
         }
         if facts.skeleton != skeleton.name() {
             return Err(format!(
@@ -273,7 +295,7 @@ impl Bundle {
         let mut takes: BTreeMap<&str, BTreeSet<u64>> = BTreeMap::new();
         let first = self.rows.first();
         for row in &self.rows {
-            let Some(&fps) = items.get(row.id.as_str()) else {
+            let Some(&(fps, _)) = items.get(row.id.as_str()) else {
                 return Err(format!(
                     "it answers {:?}, which is none of the items",
                     row.id

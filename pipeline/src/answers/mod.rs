@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use clip::{Rejected, rejected};
 use datasets_spec::dataset::Commit;
 use datasets_spec::manifest::Accounting;
-use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
+use datasets_spec::record::{EditRow, ItemRow, QuarantineRow};
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Motion, Progress, Seed, Skeleton, Transaction};
@@ -359,7 +359,8 @@ impl Answers {
     /// nothing is written.
     ///
     /// # Errors
-    /// The folder is another dataset, is locked, or cannot be written.
+    /// The folder is locked or cannot be written, or it holds what the answers must not replace
+    /// ([`work::make_room`]).
     pub fn commit(
         &self,
         out: &Path,
@@ -369,28 +370,12 @@ impl Answers {
     ) -> Result<Dataset, Error> {
         let transaction = Transaction::begin(out, holder)?;
         let plan_hash = self.plan_hash(items, skeleton);
-        if let Some(base) = transaction.base() {
-            let own = [
-                ItemRow::TABLE,
-                EditRow::TABLE,
-                QuarantineRow::TABLE,
-                ScoreRow::TABLE,
-            ];
-            if base
-                .tables
-                .keys()
-                .any(|table| !own.contains(&table.as_str()))
-            {
-                return Err(work::Error::Occupied {
-                    path: out.to_owned(),
-                }
-                .into());
-            }
-            if base.plans.get(EditRow::TABLE) == Some(&plan_hash) {
-                drop(transaction);
-                return Ok(Dataset::open(out)?);
-            }
+        let mut base = transaction.base().into_iter();
+        if base.any(|base| base.plan(EditRow::TABLE) == plan_hash) {
+            drop(transaction);
+            return Ok(Dataset::open(out)?);
         }
+        work::make_room(&transaction, items, &self.rows)?;
         let split_of_item: fn(&ItemRow) -> _ = |row| row.split;
         let split_of_edit: fn(&EditRow) -> _ = |row| row.split;
         let mut tables = BTreeMap::from([

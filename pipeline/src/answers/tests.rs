@@ -560,7 +560,7 @@ fn the_folder_is_one_that_passes_its_checks() {
     testkit::commit(dataset.path(), &rows, |row| row.split, "p");
     let refused = answers.commit(dataset.path(), &items, &skeleton, "the test");
     let refused = refused.expect_err("a dataset of motions");
-    assert!(matches!(refused, Error::Work(work::Error::Occupied { .. })));
+    assert!(matches!(refused, Error::Work(work::Error::Held { .. })));
 }
 
 #[test]

@@ -53,6 +53,8 @@ fn advise_source(source: &Findings, advice: &mut Vec<String>) {
     for release in &source.motionfix {
         advise_splits(&path, release, advice);
     }
+    let remarks = source.remarks.iter();
+    advice.extend(remarks.map(|remark| format!("{path}: {remark}")));
     advise_labels(&path, source, advice);
     for found in &source.captures {
         let examples = found.examples.iter();
@@ -139,16 +141,6 @@ fn advise_humanml3d(path: &str, folder: &HumanMl3dFindings, advice: &mut Vec<Str
     if folder.texts == 0 {
         advice.push(format!(
             "{at} has no captions: unpack texts.zip of the HumanML3D repository beside new_joints"
-        ));
-    }
-    let incomplete = folder.lists.iter().max_by_key(|list| list.without_motion);
-    if let Some(list) = incomplete.filter(|list| list.without_motion > 0) {
-        advice.push(format!(
-            "{} of {} ids of {} have no motion (such as {})",
-            list.without_motion,
-            list.ids,
-            list.file,
-            list.examples.join(", ")
         ));
     }
 }

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Fps;
 use datasets_spec::store::{ByPath, Reader, Store};
-use formats::source::Recognised;
 use formats::source::amass::catalogue::Recording;
 use formats::source::amass::{self, Variant};
 
@@ -15,26 +14,27 @@ use super::{Looked, seconds_in};
 /// the ratio of duration to size.
 const SAMPLED_FILES: usize = 3;
 
-pub(super) fn amass_subsets(rest: &[&Looked]) -> (Vec<SubsetFindings>, Estimate) {
+pub(super) fn amass_subsets(looked: &[Looked]) -> (Vec<SubsetFindings>, Estimate) {
     let mut by_subset: BTreeMap<&str, Vec<&Looked>> = BTreeMap::new();
-    for file in rest {
-        if file.kind == Recognised::Motion(amass::FORMAT) && !file.is_pointer {
-            let subset = Recording::of(&file.path).map_or("", |recording| recording.subset);
-            by_subset.entry(subset).or_default().push(file);
-        }
+    for file in looked.iter().filter(|file| file.is_amass()) {
+        let subset = Recording::of(&file.path).map_or("", |recording| recording.subset);
+        by_subset.entry(subset).or_default().push(file);
     }
     let subsets = by_subset.into_iter().map(|(name, files)| {
         let (findings, seconds) = sample(name, &files);
-        let estimate = Estimate::of(findings.files, seconds * Fps::STORE.get());
+        let clips = files.iter().map(|file| file.clips()).sum();
+        let estimate = Estimate::of(clips, seconds * Fps::STORE.get());
         (findings, estimate)
     });
     let (subsets, estimates): (_, Vec<Estimate>) = subsets.unzip();
     (subsets, estimates.into_iter().sum())
 }
 
-/// Samples a few files of a subset and extrapolates its seconds of motion.
+/// Samples a few files of a subset and extrapolates the seconds of motion in those that give clips.
 fn sample(name: &str, files: &[&Looked]) -> (SubsetFindings, f64) {
     let bytes: u64 = files.iter().map(|file| file.bytes).sum();
+    let with_clips = files.iter().filter(|file| file.clips() > 0);
+    let bytes_with_clips = with_clips.map(|file| file.bytes).sum();
     let mut unreadable = Vec::new();
     let (mut sampled_bytes, mut sampled_seconds) = (0, 0.0);
     let mut variants: BTreeSet<Variant> = BTreeSet::new();
@@ -57,9 +57,9 @@ fn sample(name: &str, files: &[&Looked]) -> (SubsetFindings, f64) {
         }
     }
     let seconds = if sampled_bytes > 0 {
-        sampled_seconds / sampled_bytes as f64 * bytes as f64
+        sampled_seconds / sampled_bytes as f64 * bytes_with_clips as f64
     } else if unreadable.is_empty() {
-        seconds_in(amass::FORMAT, bytes)
+        seconds_in(amass::FORMAT, bytes_with_clips)
     } else {
         0.0
     };

@@ -4,20 +4,20 @@ use std::collections::BTreeMap;
 
 use clip::Rejected;
 use datasets_spec::store::{ByPath, Store};
-use formats::source::{Format, ReadCapture, ReadOptions, Recognised};
+use formats::source::{Format, ReadCapture, ReadOptions};
 use rayon::prelude::*;
 
 use super::Looked;
 use super::findings::{CaptureFindings, EXAMPLES};
 
 /// Reads marker captures as ingestion does, without solving motions. Counts by code the motions that cannot be solved.
-pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
-    let captures: Vec<(&Looked, Format, ReadCapture)> = rest
+pub(super) fn captures(looked: &[Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
+    let captures: Vec<(&Looked, Format, ReadCapture)> = looked
         .iter()
         .filter(|file| !file.is_pointer)
-        .filter_map(|&file| match file.kind {
-            Recognised::Motion(format) => Some((file, format, format.capture?)),
-            Recognised::NotMotion { .. } => None,
+        .filter_map(|file| {
+            let format = file.format().ok()?;
+            Some((file, format, format.capture?))
         })
         .collect();
     let refused: Vec<Vec<Rejected>> = captures

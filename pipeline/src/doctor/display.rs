@@ -97,11 +97,11 @@ impl fmt::Display for Findings {
             size(self.bytes)
         )?;
         let kinds = self.kinds.iter().map(|kind| {
-            let name = match kind.is_motion {
-                true => kind.name.clone(),
-                false => format!("not read: {}", kind.name),
+            let (name, clips) = match kind.is_motion {
+                true => (kind.name.clone(), format!("{} clips", kind.clips)),
+                false => (format!("no motion: {}", kind.name), String::new()),
             };
-            vec![name, kind.files.to_string(), size(kind.bytes)]
+            vec![name, kind.files.to_string(), size(kind.bytes), clips]
         });
         columns(f, kinds)?;
         for found in &self.licenses {

@@ -43,6 +43,8 @@ pub(super) struct Findings {
     pub(super) amass: Vec<SubsetFindings>,
     pub(super) stance: Vec<ReleaseFindings>,
     pub(super) motionfix: Vec<ReleaseFindings>,
+    /// What releases say of their splits, and their files that would be quarantined.
+    pub(super) remarks: Vec<String>,
     /// Captures of markers that give no motion, by code of the rejection.
     pub(super) captures: Vec<CaptureFindings>,
     pub(super) licenses: Vec<LicenseFindings>,
@@ -84,6 +86,7 @@ pub(super) struct Kind {
     pub(super) is_motion: bool,
     pub(super) files: u64,
     pub(super) bytes: u64,
+    pub(super) clips: u64,
 }
 
 /// A HumanML3D folder. Counts are of ids.

@@ -1,19 +1,15 @@
 //! HumanML3D folders.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use datasets_spec::Fps;
 use datasets_spec::record::HUMANML3D_WIDTH;
-use formats::source::humanml3d::{self, Layout};
+use formats::source::humanml3d::Layout;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::findings::{EXAMPLES, Estimate, HumanMl3dFindings, ListFindings};
-use super::{Looked, seconds_in};
+use super::findings::{EXAMPLES, HumanMl3dFindings, ListFindings};
 
-pub(super) fn files_of(layout: &Layout) -> impl Iterator<Item = &str> {
-    let motions = layout.joints.values().chain(layout.vectors.values());
-    motions.chain(layout.texts.values()).map(String::as_str)
-}
+/// Bytes of joints relative to those of the vector of the same motion.
+pub(super) const JOINTS_SHARE: f64 = (3 * NUM_BODY_JOINTS) as f64 / HUMANML3D_WIDTH as f64;
 
 impl HumanMl3dFindings {
     pub(super) fn of(layout: &Layout) -> Self {
@@ -48,26 +44,4 @@ impl HumanMl3dFindings {
             motions_without_split: count(&mut layout.ids().filter(|id| !in_a_split.contains(id))),
         }
     }
-}
-
-pub(super) fn estimate_layouts(layouts: &[Layout], looked: &[Looked]) -> Estimate {
-    let sizes: BTreeMap<&str, u64> = looked
-        .iter()
-        .map(|file| (file.relative.as_str(), file.bytes))
-        .collect();
-    // Joints take a quarter of the bytes of a vector.
-    let joints_share = (3 * NUM_BODY_JOINTS) as f64 / HUMANML3D_WIDTH as f64;
-    let ids = layouts
-        .iter()
-        .flat_map(|layout| layout.ids().map(move |id| (layout, id)));
-    let estimates = ids.map(|(layout, id)| {
-        let (file, share) = match layout.vectors.get(id) {
-            Some(file) => (Some(file), 1.0),
-            None => (layout.joints.get(id), joints_share),
-        };
-        let bytes = file.and_then(|file| sizes.get(file.as_str())).copied();
-        let seconds = seconds_in(humanml3d::FORMAT, bytes.unwrap_or(0)) / share;
-        Estimate::of(1, seconds * Fps::STORE.get())
-    });
-    estimates.sum()
 }

@@ -1,5 +1,6 @@
-//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motion files are
-//! read, except captures of markers: their labels and unit decide whether they give motions.
+//! Diagnosis of sources before ingesting: present and missing files. Of single files with motions, only names and first
+//! bytes are read, except captures of markers: their labels and unit decide whether they give motions. Releases are
+//! planned as ingestion plans them, so that their clips are counted.
 
 mod advice;
 mod amass;
@@ -25,13 +26,14 @@ use advice::advise;
 use amass::amass_subsets;
 use crop_list::{ask, index_among};
 use formats::source::archive::Archives;
-use formats::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
+use formats::source::humanml3d::{FORMAT as HUMANML3D, Layout, layouts, parse_index};
 use formats::source::labels::FolderLabels;
 use formats::source::{
-    Files, Format, ReadOptions, Recognised, is_pointer, motionfix, read_head, recognise, stance,
+    Files, Format, FoundRelease, ReadOptions, Recognised, find_releases, is_pointer, read_head,
+    recognise,
 };
-use humanml3d::{estimate_layouts, files_of};
-use release::{is_stance, motionfix_folders, stance_folders};
+use humanml3d::JOINTS_SHARE;
+use release::{motionfix_folders, stance_folders};
 
 use crate::Error;
 use crate::catalogue::other_than_motions;
@@ -76,9 +78,10 @@ pub fn examine(
             )
         }));
         archives.add(listing.archives.clone());
-        let looked = look(&listing.files);
-        let files = Files::new(listing.files).with_archives(listing.archives);
-        findings.push(find(source, &files, &looked, options));
+        let files = Files::new(listing.files.clone()).with_archives(listing.archives);
+        let releases = find_releases(&files, index)?;
+        let looked = look(&listing.files, &releases);
+        findings.push(find(source, &files, &releases, &looked, options));
     }
     let files = Files::new(all).with_archives(archives);
     let asked = index.is_some();
@@ -105,32 +108,42 @@ pub fn examine(
     })
 }
 
-fn find(source: &Path, files: &Files, looked: &[Looked], options: &ReadOptions) -> Findings {
-    let layouts = layouts(files);
-    let claimed: BTreeSet<&str> = layouts.iter().flat_map(files_of).collect();
-    let rest: Vec<&Looked> = looked
+fn find(
+    source: &Path,
+    files: &Files,
+    releases: &[FoundRelease],
+    looked: &[Looked],
+    options: &ReadOptions,
+) -> Findings {
+    let used: BTreeMap<&str, &Looked> = looked
         .iter()
-        .filter(|file| !claimed.contains(file.relative.as_str()))
+        .map(|file| (file.relative.as_str(), file))
         .collect();
-    let stance = stance_folders(&rest);
-    let motionfix = motionfix_folders(&rest);
-    let (amass, of_amass) = amass_subsets(&rest);
-    let of_layouts = estimate_layouts(&layouts, looked);
-    let estimates = [of_amass, of_layouts, estimate_others(&rest)];
+    let of_another = |file: &String| {
+        let used = used.get(file.as_str()).and_then(|file| file.used.as_ref());
+        used.is_some_and(|used| used.format != HUMANML3D)
+    };
+    let mut layouts = layouts(files);
+    // Captions alone may be those of another release.
+    layouts
+        .retain(|layout| layout.ids().next().is_some() || !layout.texts.values().any(of_another));
+    let (amass, of_amass) = amass_subsets(looked);
+    let estimates = [of_amass, estimate_others(looked, &layouts)];
     let labels = FolderLabels::read(files);
     Findings {
-        captures: captures::captures(&rest, options),
+        captures: captures::captures(looked, options),
         licenses: licenses(source, &labels),
         label_problems: labels.unread().to_vec(),
         path: source.to_owned(),
         files: looked.len() as u64,
         bytes: looked.iter().map(|file| file.bytes).sum(),
-        kinds: kinds(looked, &claimed),
+        kinds: kinds(looked),
         lfs_pointers: looked.iter().filter(|file| file.is_pointer).count() as u64,
         humanml3d: layouts.iter().map(HumanMl3dFindings::of).collect(),
         amass,
-        stance,
-        motionfix,
+        stance: stance_folders(looked),
+        motionfix: motionfix_folders(looked),
+        remarks: remarks(releases, &used),
         dataset: Dataset::open_unverified(source).ok().map(|dataset| {
             match other_than_motions(&dataset) {
                 Some(other) => other.to_owned(),
@@ -141,6 +154,20 @@ fn find(source: &Path, files: &Files, looked: &[Looked], options: &ReadOptions) 
         }),
         estimate: estimates.into_iter().sum(),
     }
+}
+
+/// What releases say of their splits, and their files that are found broken before any motion is read.
+fn remarks(releases: &[FoundRelease], looked: &BTreeMap<&str, &Looked>) -> Vec<String> {
+    let contents = releases.iter().map(|(_, release)| release.contents());
+    let remarks = contents.flat_map(|contents| {
+        let is_pointer = |file: &str| looked.get(file).is_some_and(|file| file.is_pointer);
+        let rejected = contents.rejected.iter();
+        let rejected = rejected
+            .filter(move |(file, _)| !is_pointer(file))
+            .map(|(file, rejected)| format!("{file} would be quarantined: {rejected}"));
+        contents.remarks.iter().cloned().chain(rejected)
+    });
+    remarks.collect()
 }
 
 fn licenses(source: &Path, labels: &FolderLabels) -> Vec<LicenseFindings> {
@@ -157,48 +184,44 @@ fn licenses(source: &Path, labels: &FolderLabels) -> Vec<LicenseFindings> {
     found.collect()
 }
 
-fn kinds(looked: &[Looked], claimed: &BTreeSet<&str>) -> Vec<Kind> {
-    let mut kinds: BTreeMap<(bool, String), (u64, u64)> = BTreeMap::new();
+fn kinds(looked: &[Looked]) -> Vec<Kind> {
+    let mut kinds: BTreeMap<(bool, &str), Kind> = BTreeMap::new();
     for file in looked {
-        let key = if file.is_pointer {
-            (false, "Git LFS pointer".to_owned())
-        } else if claimed.contains(file.relative.as_str()) {
-            (true, HUMANML3D.as_str().to_owned())
-        } else {
-            match &file.kind {
-                Recognised::Motion(format) => (true, format.as_str().to_owned()),
-                Recognised::NotMotion { reason } => (false, reason.clone()),
-            }
+        let (is_motion, name) = match file.format() {
+            _ if file.is_pointer => (false, "Git LFS pointer"),
+            Ok(format) => (true, format.as_str()),
+            Err(reason) => (false, reason),
         };
-        let (files, bytes) = kinds.entry(key).or_default();
-        *files += 1;
-        *bytes += file.bytes;
-    }
-    let mut kinds: Vec<Kind> = kinds
-        .into_iter()
-        .map(|((is_motion, name), (files, bytes))| Kind {
-            name,
+        // Files with motions come first.
+        let kind = kinds.entry((!is_motion, name)).or_insert_with(|| Kind {
+            name: name.to_owned(),
             is_motion,
-            files,
-            bytes,
-        })
-        .collect();
-    kinds.sort_by(|a, b| (b.is_motion, &a.name).cmp(&(a.is_motion, &b.name)));
-    kinds
+            files: 0,
+            bytes: 0,
+            clips: 0,
+        });
+        kind.files += 1;
+        kind.bytes += file.bytes;
+        kind.clips += file.clips();
+    }
+    kinds.into_values().collect()
 }
 
-/// Estimates all files except AMASS and HumanML3D.
-fn estimate_others(rest: &[&Looked]) -> Estimate {
-    let files = rest.iter().filter(|file| !file.is_pointer);
-    let estimates = files.filter_map(|file| {
-        let format = match file.kind {
-            _ if is_stance(&file.relative) => stance::FORMAT,
-            _ if motionfix::is_dump(&file.relative) => motionfix::FORMAT,
-            Recognised::Motion(format) if format != formats::source::amass::FORMAT => format,
-            _ => return None,
+/// Estimates all files except those of AMASS.
+fn estimate_others(looked: &[Looked], layouts: &[Layout]) -> Estimate {
+    let joints: BTreeSet<&String> = layouts
+        .iter()
+        .flat_map(|layout| layout.joints.values())
+        .collect();
+    let others = looked.iter().filter(|file| !file.is_amass());
+    let estimates = others.filter_map(|file| {
+        let format = file.format().ok().filter(|_| !file.is_pointer)?;
+        let share = match joints.contains(&file.relative) {
+            true => JOINTS_SHARE,
+            false => 1.0,
         };
-        let frames = seconds_in(format, file.bytes) * Fps::STORE.get();
-        Some(Estimate::of(1, frames))
+        let seconds = seconds_in(format, file.bytes) / share;
+        Some(Estimate::of(file.clips(), seconds * Fps::STORE.get()))
     });
     estimates.sum()
 }
@@ -208,16 +231,89 @@ fn seconds_in(format: Format, bytes: u64) -> f64 {
     bytes as f64 / format.bytes_per_second
 }
 
-/// A listed file, and the format that its first bytes show.
+/// How a release uses a file.
+#[derive(Clone)]
+struct Used {
+    /// The format of the release.
+    format: Format,
+    /// Why the file holds no motion of its own.
+    no_motion: Option<String>,
+    /// Clips that are read from the file.
+    clips: u64,
+}
+
+/// How the releases use their files. As in ingestion, motions come before all else that releases say of a file, and
+/// among that the first release decides.
+fn used_files(releases: &[FoundRelease]) -> BTreeMap<&str, Used> {
+    let mut used: BTreeMap<&str, Used> = BTreeMap::new();
+    for (format, release) in releases {
+        for entry in &release.contents().entries {
+            let motion = || Used {
+                format: *format,
+                no_motion: None,
+                clips: 0,
+            };
+            for file in release.motion_files(entry) {
+                used.entry(file).or_insert_with(motion);
+            }
+            used.entry(&entry.file).or_insert_with(motion).clips += 1;
+        }
+    }
+    for (format, release) in releases {
+        let contents = release.contents();
+        let passed_over = contents.passed_over.iter();
+        let passed_over = passed_over.map(|(file, reason)| (file, reason.clone()));
+        let rejected = contents.rejected.iter();
+        let rejected =
+            rejected.map(|(file, why)| (file, format!("would be quarantined as {}", why.code)));
+        for (file, reason) in passed_over.chain(rejected) {
+            used.entry(file).or_insert(Used {
+                format: *format,
+                no_motion: Some(reason),
+                clips: 0,
+            });
+        }
+    }
+    used
+}
+
+/// A listed file, the format that its first bytes show, and how a release uses it.
 struct Looked {
     relative: String,
     path: PathBuf,
     bytes: u64,
     is_pointer: bool,
     kind: Recognised,
+    used: Option<Used>,
 }
 
-fn look(files: &BTreeMap<String, PathBuf>) -> Vec<Looked> {
+impl Looked {
+    /// The format that reads motions from it, or why none are read.
+    fn format(&self) -> Result<Format, &str> {
+        match (&self.used, &self.kind) {
+            (Some(used), _) => used.no_motion.as_deref().map_or(Ok(used.format), Err),
+            (None, Recognised::Motion(format)) => Ok(*format),
+            (None, Recognised::NotMotion { reason }) => Err(reason),
+        }
+    }
+
+    /// Clips that are read from it. Single files are counted as one clip each: several would show only when the whole
+    /// file is read.
+    fn clips(&self) -> u64 {
+        match &self.used {
+            _ if self.is_pointer => 0,
+            Some(used) => used.clips,
+            None => u64::from(self.format().is_ok()),
+        }
+    }
+
+    fn is_amass(&self) -> bool {
+        self.kind == Recognised::Motion(formats::source::amass::FORMAT) && !self.is_pointer
+    }
+}
+
+fn look(files: &BTreeMap<String, PathBuf>, releases: &[FoundRelease]) -> Vec<Looked> {
+    let used = used_files(releases);
     let listed: Vec<(&String, &PathBuf)> = files.iter().collect();
     listed
         .into_par_iter()
@@ -229,6 +325,7 @@ fn look(files: &BTreeMap<String, PathBuf>) -> Vec<Looked> {
                 bytes: ByPath.size(path).unwrap_or(0),
                 is_pointer: is_pointer(&head),
                 kind: recognise(Path::new(relative), &head),
+                used: used.get(relative.as_str()).cloned(),
             }
         })
         .collect()

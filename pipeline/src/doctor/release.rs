@@ -26,7 +26,7 @@ const MOTIONFIX_PARTS: [(&str, u64); 4] = [
 ];
 
 /// Whether the path of a file is that of a motion of the STANCE release.
-pub(super) fn is_stance(relative: &str) -> bool {
+fn is_stance(relative: &str) -> bool {
     let motion_folders = &STANCE_PARTS[..3];
     relative.ends_with(".pkl")
         && motion_folders
@@ -46,9 +46,9 @@ fn root_before<'a>(relative: &'a str, part: &str) -> Option<&'a str> {
         .map(|at| &relative[..at])
 }
 
-pub(super) fn stance_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
+pub(super) fn stance_folders(looked: &[Looked]) -> Vec<ReleaseFindings> {
     let mut roots: BTreeSet<&str> = BTreeSet::new();
-    for file in rest {
+    for file in looked {
         let is_list = file.relative.ends_with("mask_all.json");
         let (motions, lists) = (&STANCE_PARTS[..3], &STANCE_PARTS[3..4]);
         let parts = match (is_stance(&file.relative), is_list) {
@@ -62,11 +62,11 @@ pub(super) fn stance_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
                 .filter_map(|(part, _)| root_before(&file.relative, part)),
         );
     }
-    releases(&roots, rest, &STANCE_PARTS)
+    releases(&roots, looked, &STANCE_PARTS)
 }
 
-pub(super) fn motionfix_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
-    let roots: BTreeSet<&str> = rest
+pub(super) fn motionfix_folders(looked: &[Looked]) -> Vec<ReleaseFindings> {
+    let roots: BTreeSet<&str> = looked
         .iter()
         .filter(|file| motionfix::is_dump(&file.relative))
         .map(|file| {
@@ -74,18 +74,18 @@ pub(super) fn motionfix_folders(rest: &[&Looked]) -> Vec<ReleaseFindings> {
             &file.relative[..slash.map_or(0, |slash| slash + 1)]
         })
         .collect();
-    releases(&roots, rest, &MOTIONFIX_PARTS)
+    releases(&roots, looked, &MOTIONFIX_PARTS)
 }
 
 fn releases(
     roots: &BTreeSet<&str>,
-    rest: &[&Looked],
+    looked: &[Looked],
     parts: &[(&str, u64)],
 ) -> Vec<ReleaseFindings> {
     roots
         .iter()
         .map(|root| {
-            let inside: Vec<&str> = rest
+            let inside: Vec<&str> = looked
                 .iter()
                 .filter(|file| !file.is_pointer)
                 .filter_map(|file| file.relative.strip_prefix(root))

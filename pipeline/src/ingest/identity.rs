@@ -7,7 +7,7 @@ use datasets_spec::{Seed, Split};
 use formats::source::{Entry, Format, escaped};
 
 use super::alike::Alike;
-use super::list::{path_of, source_hash, without_extension};
+use super::list::{path_of, without_extension};
 use super::plan::{Plan, Planned};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
@@ -128,18 +128,18 @@ impl Plan {
     /// the same content, nothing lies at the recorded path, and the match is unique.
     fn moved_files(&self, items: &[Planned], recorded: &Recorded) -> BTreeMap<String, String> {
         let known = recorded.paths();
-        let mut gone: BTreeMap<(&str, &str), BTreeSet<&str>> = BTreeMap::new();
+        let mut gone: BTreeMap<(&str, String), BTreeSet<&str>> = BTreeMap::new();
         for clip in &recorded.clips {
             let name = recorded.sources[clip.source].name.as_str();
             let is_gone =
                 !self.sources.contains_key(&clip.path) && self.is_of_run(name, &clip.path);
             if is_gone && !clip.hash.is_empty() {
-                gone.entry((name, &clip.hash))
+                gone.entry((name, clip.hash.clone()))
                     .or_default()
                     .insert(&clip.path);
             }
         }
-        let mut new: BTreeMap<(&str, &str), BTreeSet<&str>> = BTreeMap::new();
+        let mut new: BTreeMap<(&str, String), BTreeSet<&str>> = BTreeMap::new();
         for item in items
             .iter()
             .filter(|item| !known.contains(item.entry.file.as_str()))
@@ -164,8 +164,36 @@ impl Plan {
         clip.has_motion() && item.inputs == clip.inputs
     }
 
-    pub(super) fn hash_of(&self, item: &Planned) -> &str {
-        source_hash(&self.sources, &item.entry.file)
+    /// As [`Plan::motion_hash`]; empty if a file cannot be read.
+    pub(super) fn hash_of(&self, item: &Planned) -> String {
+        let hash = self.motion_hash(item.release, &item.entry);
+        hash.unwrap_or_default()
+    }
+
+    /// BLAKE3 of the file that holds a motion, or over the hashes of all its files; empty if they are not known.
+    ///
+    /// # Errors
+    /// Why a file cannot be read.
+    pub(super) fn motion_hash(
+        &self,
+        release: Option<usize>,
+        entry: &Entry,
+    ) -> Result<String, String> {
+        let files = match release {
+            Some(release) => self.releases[release].1.motion_files(entry),
+            None => vec![entry.file.as_str()],
+        };
+        let known = files.into_iter().filter_map(|file| self.sources.get(file));
+        let hashes: Vec<&str> = known
+            .map(|source| source.hash.as_deref().map_err(Clone::clone))
+            .collect::<Result<_, String>>()?;
+        Ok(match hashes[..] {
+            [] => String::new(),
+            [one] => one.to_owned(),
+            _ => blake3::hash(hashes.join(" ").as_bytes())
+                .to_hex()
+                .to_string(),
+        })
     }
 
     /// Gives the new motions of releases their ids.
@@ -232,7 +260,7 @@ impl Plan {
                 .or_default();
             split.get_or_insert(clip.split);
         }
-        let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+        let mut first_key: BTreeMap<(String, &str), usize> = BTreeMap::new();
         let mut first_alike: BTreeMap<usize, usize> = BTreeMap::new();
         let texts: Vec<String> = self.items.iter().map(|item| self.split_key(item)).collect();
         // In this order, the smallest index in a group is that of the key from which the group's split is drawn.
@@ -265,7 +293,8 @@ impl Plan {
             .iter()
             .map(|item| {
                 let recorded = item.known.map(|index| recorded.clips[index].split);
-                let content = (self.hash_of(item), item.entry.key.as_str());
+                let hash = self.hash_of(item);
+                let content = (hash.as_str(), item.entry.key.as_str());
                 let single = item.release.is_none() && !content.0.is_empty();
                 let copied = of_content.get(&content).copied().flatten();
                 let alike = alike.class(&item.id).and_then(|class| alike.split(class));

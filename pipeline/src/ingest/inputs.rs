@@ -42,16 +42,12 @@ pub(super) fn files_of_single<'a>(
     }
     let mut of_stem: BTreeMap<_, Vec<&str>> = BTreeMap::new();
     let mut of_folder: BTreeMap<_, Vec<&str>> = BTreeMap::new();
-    let mut below: BTreeMap<_, Vec<&str>> = BTreeMap::new();
+    let below = LabelsBelow::of(others, sources);
     for file in others {
         let (folder, name) = split_name(file);
         let source = source_of(file);
         let lower = name.to_lowercase();
-        if SPEAK_OF_ALL_BELOW
-            .iter()
-            .any(|begin| lower.starts_with(begin))
-        {
-            below.entry((source, folder)).or_default().push(file);
+        if speaks_of_all_below(&lower) {
             continue;
         }
         let beside = stems.get(&(source, folder));
@@ -76,14 +72,48 @@ pub(super) fn files_of_single<'a>(
             let source = source_of(file);
             let own = of_stem.get(&(source, folder, stem(name)));
             let of_folder = of_folder.get(&(source, folder));
-            let around = above(folder).filter_map(|folder| below.get(&(source, folder)));
             let files = std::iter::once(*file)
                 .chain(own.into_iter().flatten().copied())
                 .chain(of_folder.into_iter().flatten().copied())
-                .chain(around.flatten().copied());
+                .chain(below.around(file, sources));
             (*file, files.collect())
         })
         .collect()
+}
+
+fn speaks_of_all_below(name: &str) -> bool {
+    let mut begins = SPEAK_OF_ALL_BELOW.iter();
+    begins.any(|begin| name.starts_with(begin))
+}
+
+/// Files that speak of all clips in their folder and below, by source and folder.
+pub(super) struct LabelsBelow<'a>(BTreeMap<(Option<usize>, &'a str), Vec<&'a str>>);
+
+impl<'a> LabelsBelow<'a> {
+    /// Those of some files without a motion.
+    pub(super) fn of(others: &BTreeSet<&'a str>, sources: &BTreeMap<String, Source>) -> Self {
+        let mut below: BTreeMap<_, Vec<&str>> = BTreeMap::new();
+        for file in others {
+            let (folder, name) = split_name(file);
+            if speaks_of_all_below(&name.to_lowercase()) {
+                let source = sources.get(*file).map(|source| source.of);
+                below.entry((source, folder)).or_default().push(file);
+            }
+        }
+        Self(below)
+    }
+
+    /// The files that speak of the clips of a file.
+    fn around<'b>(
+        &'b self,
+        file: &'b str,
+        sources: &BTreeMap<String, Source>,
+    ) -> impl Iterator<Item = &'a str> + use<'a, 'b> {
+        let source = sources.get(file).map(|source| source.of);
+        let around =
+            above(split_name(file).0).filter_map(move |folder| self.0.get(&(source, folder)));
+        around.flatten().copied()
+    }
 }
 
 /// Hashes of the inputs of single files, by file; see [`files_of_single`].
@@ -132,16 +162,25 @@ pub(super) fn files_of_release(contents: &Contents) -> FilesOfRelease<'_> {
     }
 }
 
-/// Hashes of the inputs of the motions of a release, in the order of its entries; see [`files_of_release`].
-pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>) -> Vec<String> {
+/// Hashes of the inputs of the motions of a release, in the order of its entries: the files of the release, see
+/// [`files_of_release`], and files beside it that speak of its motions.
+pub(super) fn of_release(
+    contents: &Contents,
+    below: &LabelsBelow<'_>,
+    sources: &BTreeMap<String, Source>,
+) -> Vec<String> {
     let FilesOfRelease { own, common } = files_of_release(contents);
     let common = hash(common.into_iter(), sources);
     let of_file: BTreeMap<&str, String> = own
         .into_iter()
         .map(|(file, files)| {
             let own = hash(files.into_iter(), sources);
-            let both = blake3::hash(format!("{own} {common}").as_bytes());
-            (file, both.to_hex().to_string())
+            let mut all = format!("{own} {common}");
+            let mut around = below.around(file, sources).peekable();
+            if around.peek().is_some() {
+                all = format!("{all} {}", hash(around, sources));
+            }
+            (file, blake3::hash(all.as_bytes()).to_hex().to_string())
         })
         .collect();
     let entries = contents.entries.iter();

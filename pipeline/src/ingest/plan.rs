@@ -368,10 +368,11 @@ impl Plan {
     fn note_inputs(&mut self) {
         let (motions, others) = self.single_files();
         let of_file = inputs::of_single_files(&motions, &others, &self.sources);
-        let of_release = self.releases.iter();
-        let mut of_release: Vec<_> = of_release
-            .map(|(_, release)| inputs::of_release(release.contents(), &self.sources).into_iter())
-            .collect();
+        let below = inputs::LabelsBelow::of(&others, &self.sources);
+        let of_release = self.releases.iter().map(|(_, release)| {
+            inputs::of_release(release.contents(), &below, &self.sources).into_iter()
+        });
+        let mut of_release: Vec<_> = of_release.collect();
         let hashes: Vec<String> = self
             .items
             .iter()

@@ -19,6 +19,9 @@ use crate::clip_table::{CLIP_TABLES, ClipFacts};
 use crate::facts::{fact, json};
 use crate::names::free;
 
+/// Why a clip of the second of two merged datasets is skipped: the first has it. The path of its row ends in its id.
+pub(super) const IN_BOTH: &str = "clip of both merged datasets";
+
 /// The version that a run starts from.
 #[derive(Default)]
 pub(super) struct Base {
@@ -283,6 +286,19 @@ impl MergedSources {
             name => name,
         };
         renamed.get(name).map_or(name, String::as_str).to_owned()
+    }
+
+    /// The row of a clip of the second dataset that the first has too: its source, when it is ingested into the result,
+    /// does not add the clip again.
+    pub(crate) fn shared_row(&self, clip: ClipFacts) -> SkippedRow {
+        let path = labelled(&self.label, &clip.source_path);
+        SkippedRow {
+            path: format!("{path}#{}", clip.id),
+            source_name: self.name(1, &clip.source_name, &clip.source_path),
+            source_hash: clip.source_hash,
+            inputs_hash: clip.inputs_hash,
+            reason: IN_BOTH.to_owned(),
+        }
     }
 
     /// Where the sources of both were found.

@@ -181,6 +181,7 @@ impl Tally {
         plan: &Plan,
         list: Option<&PairList>,
         known: &[PairRow],
+        rejected: &BTreeSet<[MotionId; 2]>,
     ) -> ListedPairs {
         let Some(list) = list else {
             return ListedPairs::default();
@@ -190,7 +191,7 @@ impl Tally {
             .into_iter()
             .filter_map(|(id, split)| Some((MotionId::parse(id).ok()?, split)))
             .collect();
-        list.pairs(&motions, known)
+        list.pairs(&motions, known, rejected)
     }
 
     /// The masks that stay and those that came with clips of this run. A mask whose id exists already stays as it is,

@@ -6,12 +6,12 @@ use std::path::Path;
 use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName, Staging};
 use datasets_spec::license::{self, LICENSES_FACT};
-use datasets_spec::manifest::{Accounting, FileEntry, SPLIT_BY_FACT};
+use datasets_spec::manifest::{Accounting, FileEntry, Manifest, SPLIT_BY_FACT};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{NoProgress, Progress, Split, Transaction};
+use datasets_spec::{MotionId, NoProgress, Progress, Split, Transaction};
 
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
@@ -403,10 +403,16 @@ impl Run<'_> {
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
     fn pairs(&self, staying: Vec<PairRow>, tally: &Tally) -> Pairs {
-        let (made, dropped) = tally.pairs(self.plan);
+        let rejected = self.transaction.base().map(Manifest::rejected_pairs);
+        let rejected = rejected.into_iter().flat_map(BTreeMap::into_values);
+        let rejected: BTreeSet<[MotionId; 2]> = rejected.flatten().collect();
+        let (mut made, dropped) = tally.pairs(self.plan);
+        // They left the dataset when people rejected them.
+        made.retain(|row| !rejected.contains(&[row.source_id.clone(), row.target_id.clone()]));
         let mut rows = with_made(staying, made);
         let known: Vec<PairRow> = rows.values().cloned().collect();
-        let listed = tally.listed_pairs(self.plan, self.prepared.options.pairs.as_ref(), &known);
+        let list = self.prepared.options.pairs.as_ref();
+        let listed = tally.listed_pairs(self.plan, list, &known, &rejected);
         rows.extend(listed.rows.into_iter().map(|row| (row.id.clone(), row)));
         Pairs {
             rows: rows.into_values().collect(),

@@ -163,13 +163,9 @@ impl Plan {
             .clone()
             .map_err(|reason| Rejected::read("E-PATH", reason))?;
         let entry = item.entry;
-        let source_hash = match self.sources.get(&entry.file) {
-            Some(source) => source
-                .hash
-                .clone()
-                .map_err(|reason| Rejected::read("E-IO", reason))?,
-            None => String::new(),
-        };
+        let source_hash = self
+            .motion_hash(item.release, entry)
+            .map_err(|reason| Rejected::read("E-IO", reason))?;
         let around = self.folder_labels.of(&self.files, entry);
         let outcome = match item.release {
             Some(release) => self.releases[release]

@@ -1,4 +1,5 @@
-//! Clips that the owner of a dataset removed, did not select, or does not choose for this run.
+//! Clips that the owner of a dataset removed, did not select, or does not choose for this run, and those that a dataset
+//! has from the file of another source since it was merged.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,22 +8,53 @@ use formats::source::Entry;
 
 use super::id_list::IdList;
 use super::plan::{Plan, Planned};
-use super::recorded::Recorded;
+use super::recorded::{IN_BOTH, Recorded};
 use crate::versions::taken_out;
 
 /// Why a clip that the user does not choose is skipped.
 pub(super) const NOT_CHOSEN: &str = "clip that --ids does not choose";
 
+/// A clip that is not read while its file is unchanged.
+struct LeftOut<'a> {
+    id: &'a str,
+    path: &'a str,
+    row: &'a SkippedRow,
+}
+
+/// The clips that the dataset's owner took out, and those that the dataset has from the file of another source, by the
+/// hash of their file.
+fn left_out(recorded: &Recorded) -> BTreeMap<&str, Vec<LeftOut<'_>>> {
+    let rows = recorded.skipped.iter();
+    let rows = rows.filter(|row| !row.source_hash.is_empty());
+    let mut left: Vec<LeftOut<'_>> = rows
+        .clone()
+        .filter_map(|row| {
+            let (id, path) = (taken_out(row)?, row.path.as_str());
+            Some(LeftOut { id, path, row })
+        })
+        .collect();
+    // A clip that was pruned since may be read from the other file.
+    let mut known: BTreeSet<&str> = left.iter().map(|left| left.id).collect();
+    known.extend(recorded.clips.iter().map(|clip| clip.id.as_str()));
+    for row in rows.filter(|row| row.reason == IN_BOTH) {
+        // File names may hold `#` as well, so the id is looked for behind each.
+        let ends = row.path.match_indices('#');
+        let ends = ends.map(|(at, _)| (&row.path[..at], &row.path[at + 1..]));
+        let clips = ends.filter(|(_, id)| known.contains(id));
+        left.extend(clips.map(|(path, id)| LeftOut { id, path, row }));
+    }
+    let mut by_hash: BTreeMap<&str, Vec<LeftOut<'_>>> = BTreeMap::new();
+    for left in left {
+        by_hash.entry(&left.row.source_hash).or_default().push(left);
+    }
+    by_hash
+}
+
 impl Plan {
-    /// Leaves out clips that the dataset's owner took out, as long as their files are unchanged, in the same place or
-    /// elsewhere. Their rows stay.
+    /// Leaves out the clips of [`left_out`], as long as their files are unchanged, in the same place or elsewhere. Their
+    /// rows stay.
     pub(super) fn leave_out(&mut self, items: &mut Vec<Planned>, recorded: &Recorded) {
-        let mut by_hash: BTreeMap<&str, Vec<(&str, &SkippedRow)>> = BTreeMap::new();
-        for row in &recorded.skipped {
-            if let Some(id) = taken_out(row).filter(|_| !row.source_hash.is_empty()) {
-                by_hash.entry(&row.source_hash).or_default().push((id, row));
-            }
-        }
+        let by_hash = left_out(recorded);
         if by_hash.is_empty() {
             return;
         }
@@ -30,15 +62,22 @@ impl Plan {
         let (mut left, mut entries) = (Vec::new(), Vec::new());
         items.retain(|item| {
             let file = item.entry.file.as_str();
-            let rows = by_hash.get(self.hash_of(item)).into_iter().flatten();
-            let found = rows.clone().find(|(id, row)| {
-                let is_there = self.sources.contains_key(&row.path);
+            let hash = self.hash_of(item);
+            let found = by_hash.get(&*hash).into_iter().flatten();
+            let found = found.filter(|LeftOut { id, .. }| item.is_of(id));
+            let mut found = found.filter(|LeftOut { path, row, .. }| {
+                let is_there = self.sources.contains_key(*path);
                 let moved = !is_there && !known.contains(file);
-                (row.path == file || moved) && item.is_of(id)
+                // The same file in another source is another clip.
+                let is_of_source =
+                    row.reason != IN_BOTH || row.source_name == self.source_name(file);
+                *path == file || moved && is_of_source
             });
-            let Some((_, row)) = found else { return true };
+            let Some(LeftOut { path, row, .. }) = found.next() else {
+                return true;
+            };
             left.push(SkippedRow {
-                path: file.to_owned(),
+                path: row.path.replacen(path, file, 1),
                 ..(*row).clone()
             });
             entries.push(item.entry.clone());

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::record::QuarantineRow;
-use formats::source::Entry;
 use formats::source::archive::DAMAGED;
 use formats::source::labels::names_beside;
+use formats::source::{Entry, Recognised, recognise};
 
 use super::identity::key_of;
 use super::inputs;
@@ -88,21 +88,15 @@ impl Plan {
                 described.len()
             ));
         }
-        let num_new = self.num_new_beside_unlisted();
-        if num_new > 0 {
-            let places = self.notes.unlisted.iter().map(String::as_str);
-            let places: BTreeSet<&str> = places.collect();
-            self.notes.remarks.push(format!(
-                "{num_new} new clips have no labels from what cannot be read now: {}",
-                some_of(places.into_iter())
-            ));
-        }
         let staying = described.keys().map(|clip| &recorded.clips[*clip].path);
         self.notes.staying.extend(staying.cloned());
     }
 
-    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
+    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not;
+    /// remarks on labels of new clips that may be unread.
     pub(super) fn note_label_problems(&mut self, recorded: &Recorded) {
+        let remark = self.remark_on_new();
+        self.notes.remarks.extend(remark);
         let mut left_out = std::mem::take(&mut self.notes.left_out);
         // Labels may name clips that stay although no item of this run gives them.
         let staying = recorded.clips.iter().filter(|clip| {
@@ -233,7 +227,7 @@ impl Plan {
 
     /// A label file beside a motion that cannot be read now; `passing` are the rejected files of [`is_passing`].
     fn unread_beside(&self, file: &str, passing: &BTreeSet<&str>) -> Option<&str> {
-        let folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let folder = folder_of(file);
         let names = names_beside(Path::new(file)).into_iter();
         let mut beside =
             names.filter_map(|name| self.sources.get_key_value(&labelled(folder, &name)));
@@ -242,20 +236,56 @@ impl Plan {
         unread.map(|(name, _)| name.as_str())
     }
 
-    /// Number of clips that the dataset does not have, in sources of which a part cannot be read now.
-    fn num_new_beside_unlisted(&self) -> usize {
-        let mut new = BTreeMap::new();
-        for item in self.items.iter().filter(|item| item.known.is_none()) {
-            if let Some(source) = self.sources.get(&item.entry.file) {
-                *new.entry(source.of).or_insert(0) += 1;
+    /// The remark on new clips that may have labels in what cannot be read now.
+    fn remark_on_new(&self) -> Option<String> {
+        let motions: BTreeSet<&str> = self.items.iter().map(|item| &*item.entry.file).collect();
+        // By source and folder: what may describe the motions there and below.
+        let mut unread: BTreeMap<(usize, &str), Vec<&str>> = BTreeMap::new();
+        for place in &self.notes.unlisted {
+            if matches!(recognise(Path::new(place), &[]), Recognised::Motion(_)) {
+                continue;
+            }
+            // An archive that gives motions describes these, and one that gives none those beside it.
+            let in_it = format!("{place}/");
+            let mut in_it = self.files.under(&in_it);
+            let folder = match in_it.any(|file| motions.contains(file)) {
+                true => place,
+                false => folder_of(place),
+            };
+            let given = self.notes.given.iter().enumerate();
+            let around = given.filter(|(_, given)| below(&given.label.label, place).is_some());
+            if let Some((of, _)) = around.max_by_key(|(_, given)| given.label.label.len()) {
+                unread.entry((of, folder)).or_default().push(place);
             }
         }
-        let is_part = |of: &usize| {
-            let label = self.notes.given[*of].label.label.as_str();
-            let mut unlisted = self.notes.unlisted.iter();
-            unlisted.any(|place| below(label, place).is_some())
-        };
-        let new = new.into_iter().filter(|(of, _)| is_part(of));
-        new.map(|(_, count)| count).sum()
+        let (mut num_new, mut places) = (0, BTreeSet::new());
+        for item in self.items.iter().filter(|item| item.known.is_none()) {
+            let file = item.entry.file.as_str();
+            let Some(Source { of, .. }) = self.sources.get(file) else {
+                continue;
+            };
+            let folders = std::iter::successors(Some(folder_of(file)), |folder| {
+                (!folder.is_empty()).then(|| folder_of(folder))
+            });
+            let mut found = folders
+                .filter_map(|folder| unread.get(&(*of, folder)))
+                .flatten()
+                .peekable();
+            num_new += usize::from(found.peek().is_some());
+            places.extend(found.copied());
+        }
+        (num_new > 0).then(|| {
+            let places = some_of(places.into_iter());
+            // Some of them may turn out to be damaged when they are read.
+            format!(
+                "up to {num_new} new clips may lack labels, because files that may describe them cannot be read now: \
+                 {places}"
+            )
+        })
     }
+}
+
+/// The folder of a file; empty at the top.
+fn folder_of(file: &str) -> &str {
+    file.rsplit_once('/').map_or("", |(folder, _)| folder)
 }

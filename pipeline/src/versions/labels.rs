@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::annotation::masks::AUTHOR;
-use crate::annotation::pairs::is_from_labels;
+use crate::annotation::pairs::{LISTED, is_from_labels};
 use crate::ingest::LostLabel;
 
 const SHOWN: usize = 5;
@@ -95,6 +95,12 @@ pub(crate) fn is_pair_of_source(pair: &PairRow) -> bool {
 /// Whether a person made a pair; see [`is_mask_of_people`].
 pub(crate) fn is_pair_of_people(pair: &PairRow) -> bool {
     !is_pair_of_source(pair) && !is_from_labels(pair)
+}
+
+/// Whether a person judged a pair. Pairs of lists are of people too, but nobody has judged them; the annotation tool of
+/// earlier versions did not record who accepted a pair.
+pub(crate) fn is_pair_judged(pair: &PairRow) -> bool {
+    pair.accepted_by.is_some() || is_pair_of_people(pair) && pair.source != LISTED
 }
 
 /// Refuses to lose labels, unless that is allowed.

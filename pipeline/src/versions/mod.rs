@@ -26,7 +26,8 @@ pub use self::choose::{Choice, taken_out};
 pub use self::compact::{Compacted, Layout, compact};
 pub use self::labels::KeptLabel;
 pub(crate) use self::labels::{
-    Labels, check_lost, is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source,
+    Labels, check_lost, is_mask_of_people, is_mask_of_source, is_pair_judged, is_pair_of_people,
+    is_pair_of_source,
 };
 pub use self::remove::{RemoveOptions, Removed, remove};
 pub use self::restore::{Restored, restore};

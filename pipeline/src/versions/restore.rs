@@ -1,6 +1,6 @@
 //! Going back to an older version.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::manifest::{Manifest, plan_hash};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
@@ -8,7 +8,9 @@ use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
-use super::labels::{KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_of_people};
+use super::labels::{
+    KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_judged, is_pair_of_people,
+};
 use crate::Error;
 use crate::ingest::LostLabel;
 
@@ -30,6 +32,8 @@ pub struct Restored {
     /// Newer labels by people that are lost, because the restored version does not have their clips, or has other
     /// motions. The previous version keeps them.
     pub lost: Vec<LostLabel>,
+    /// Ids of pairs of the restored version that people have rejected since; the result does not contain them.
+    pub rejected: Vec<String>,
     /// Tables of the previous version that the result does not contain.
     pub left_tables: Vec<String>,
     /// Hash of the result.
@@ -77,9 +81,20 @@ pub fn restore(
     let current = Labels::read(&now)?;
     merge.take(current.clone());
     let Merge {
-        labels, kept, lost, ..
+        mut labels,
+        kept,
+        lost,
+        ..
     } = merge;
     check_lost(root, &lost, drop_labels)?;
+    let rejected = now.manifest().rejected_pairs().into_values().flatten();
+    let rejected: BTreeSet<[MotionId; 2]> = rejected.collect();
+    let is_rejected = |pair: &PairRow| {
+        let clips = [pair.source_id.clone(), pair.target_id.clone()];
+        !is_pair_judged(pair) && rejected.contains(&clips)
+    };
+    let rejected = labels.pairs.extract_if(.., |_, pair| is_rejected(pair));
+    let rejected = rejected.map(|(id, _)| id).collect();
     let left = now.manifest().tables.keys();
     let left = left.filter(|table| !old.manifest().tables.contains_key(*table));
     let left_tables = left
@@ -87,7 +102,8 @@ pub fn restore(
         .filter(|table| *table != PairRow::TABLE || labels.pairs.is_empty())
         .cloned()
         .collect();
-    let is_current = labels == current && is_alike(old.manifest(), now.manifest());
+    let facts = transaction.restored_facts(old.manifest());
+    let is_current = labels == current && is_alike(old.manifest(), &facts, now.manifest());
     let dataset = if is_current {
         transaction.finish()?;
         now
@@ -108,19 +124,20 @@ pub fn restore(
         tables: manifest.row_counts(),
         kept,
         lost,
+        rejected,
         left_tables,
         root_hash: manifest.root_hash.clone(),
     })
 }
 
-/// Whether two versions are equal except for their labels.
-fn is_alike(a: &Manifest, b: &Manifest) -> bool {
+/// Whether a version, restored with these facts, equals another except for labels.
+fn is_alike(a: &Manifest, facts: &BTreeMap<String, String>, b: &Manifest) -> bool {
     let tables = |manifest: &Manifest| {
         let mut tables = manifest.tables.clone();
         tables.retain(|table, _| ![MaskRow::TABLE, PairRow::TABLE].contains(&table.as_str()));
         tables
     };
-    (tables(a), &a.facts, &a.skeleton) == (tables(b), &b.facts, &b.skeleton)
+    (tables(a), facts, &a.skeleton) == (tables(b), &b.facts, &b.skeleton)
 }
 
 /// Labels of an older version, to which newer labels by people are added.

@@ -1,19 +1,26 @@
 //! Commits tables of edits, made by one process or in pieces.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::dataset::{Commit, Transaction, table_facts};
-use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::table::Row as _;
+use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
+use datasets_spec::store::if_exists;
+use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, Skeleton, Split};
 
 use crate::{Error, Quarantine};
 
+/// Files beside a table of edits: the times of making it, and the warnings about it. Its hash does not include them.
+const BESIDE: [&str; 2] = ["times.json", "remarks.json"];
+
+/// Task of an item that is an edit of one motion, without a target.
+const FREE: &str = "free";
+
 /// Commits items and the edits of these items together.
 ///
 /// # Errors
-/// The folder is locked or cannot be written.
+/// The folder is locked or cannot be written, or as [`make_room`].
 pub fn commit_edits(
     out: &Path,
     items: &[ItemRow],
@@ -30,7 +37,7 @@ pub fn commit_edits(
 /// As [`commit_edits`], in a transaction that has begun, and with the pieces that failed.
 ///
 /// # Errors
-/// The folder cannot be written.
+/// The folder cannot be written, or as [`make_room`].
 pub fn commit_edits_in(
     transaction: Transaction,
     items: &[ItemRow],
@@ -39,6 +46,7 @@ pub fn commit_edits_in(
     plan_hash: &str,
     quarantine: &Quarantine,
 ) -> Result<Dataset, Error> {
+    make_room(&transaction, items, edits)?;
     let item_split: fn(&ItemRow) -> Split = |row| row.split;
     let edit_split: fn(&EditRow) -> Split = |row| row.split;
     let mut tables = BTreeMap::from([
@@ -60,4 +68,102 @@ pub fn commit_edits_in(
         accounting,
         ..Commit::default()
     })?)
+}
+
+/// Prepares a folder for edits of one system. The folder may hold the same items without edits, or edits of this system
+/// (of its name, or its checkpoint), which become an older version. The files that tell of those edits are removed.
+///
+/// # Errors
+/// [`Error::Held`] if the folder holds anything else: other items, edits of another system, test items where the edit of
+/// a single motion is written or the reverse, or other tables. Or it cannot be read, or a file cannot be removed.
+pub fn make_room(
+    transaction: &Transaction,
+    items: &[ItemRow],
+    edits: &[EditRow],
+) -> Result<(), Error> {
+    if transaction.base().is_none() {
+        return Ok(());
+    }
+    let held = Dataset::open_unverified(transaction.root())?;
+    let is_free = items.iter().any(|item| item.task == FREE);
+    let made = match edits.first() {
+        Some(_) if is_free => "the edit of a single motion".to_owned(),
+        Some(edit) => format!("edits of {}", edit.system),
+        None => "edits".to_owned(),
+    };
+    let refused = |held: String| {
+        let path = transaction.root().to_owned();
+        Err(Error::Held { path, held, made })
+    };
+    let own = [
+        ItemRow::TABLE,
+        EditRow::TABLE,
+        QuarantineRow::TABLE,
+        ScoreRow::TABLE,
+    ];
+    let mut tables = held.manifest().tables.keys();
+    if let Some(other) = tables.find(|table| !own.contains(&table.as_str())) {
+        return refused(format!("tables of a dataset ({other})"));
+    }
+    let ids = texts::<ItemRow>(&held, "id")?;
+    let systems = texts::<EditRow>(&held, "system")?;
+    if systems.is_empty() {
+        let asked = items.iter().map(|item| item.id.as_str());
+        let is_same = ids
+            .iter()
+            .map(String::as_str)
+            .eq(BTreeSet::from_iter(asked));
+        return match ids.len() {
+            count if count > 0 && !is_same => refused(format!("{count} other items")),
+            _ => Ok(()),
+        };
+    }
+    let checkpoints = texts::<EditRow>(&held, "checkpoint_hash")?;
+    let is_same = |edit: &EditRow| {
+        let checkpoint = &edit.checkpoint_hash;
+        systems.contains(&edit.system) || !checkpoint.is_empty() && checkpoints.contains(checkpoint)
+    };
+    if !edits.first().is_none_or(is_same) {
+        return refused(format!("edits of {}", Vec::from_iter(systems).join(", ")));
+    }
+    let was_free = texts::<ItemRow>(&held, "task")?.contains(FREE);
+    if was_free != is_free {
+        return refused(match was_free {
+            true => "the edit of a single motion".to_owned(),
+            false => format!("edits of {} test items", ids.len()),
+        });
+    }
+    for name in BESIDE {
+        let path = held.root().join(name);
+        if_exists(held.store().remove_file(&path)).map_err(Error::io("remove", &path))?;
+    }
+    Ok(())
+}
+
+/// Refuses a folder with edits for items alone: the edits would stay beside items that they do not answer.
+///
+/// # Errors
+/// [`Error::Held`], or the folder cannot be read.
+pub fn refuse_items(held: &Dataset) -> Result<(), Error> {
+    let systems = texts::<EditRow>(held, "system")?;
+    if systems.is_empty() {
+        return Ok(());
+    }
+    Err(Error::Held {
+        path: held.root().to_owned(),
+        held: format!(
+            "the items of the edits of {}",
+            Vec::from_iter(systems).join(", ")
+        ),
+        made: "other items".to_owned(),
+    })
+}
+
+/// The different texts in a column.
+fn texts<R: Row>(held: &Dataset, column: &'static str) -> Result<BTreeSet<String>, Error> {
+    let mut texts = BTreeSet::new();
+    for (path, _) in held.files(R::TABLE, None) {
+        texts.extend(read_column::<R, String>(&path, column)?);
+    }
+    Ok(texts)
 }

@@ -14,6 +14,19 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// A folder holds items or edits that others would replace, or other tables.
+    #[error(
+        "{} holds {held}, which {made} must not replace; name another folder, or delete this one",
+        path.display()
+    )]
+    Held {
+        /// The folder.
+        path: PathBuf,
+        /// What it holds.
+        held: String,
+        /// What would be written.
+        made: String,
+    },
     /// A folder is not a plan that this program can use.
     #[error("{} is no usable plan: {reason}", path.display())]
     BadPlan {
@@ -103,7 +116,7 @@ impl Error {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),
             Self::Io { path, .. } => ("E-IO", path),
-            Self::Occupied { path } => ("E-OCCUPIED", path),
+            Self::Occupied { path } | Self::Held { path, .. } => ("E-OCCUPIED", path),
             Self::BadPlan { path, .. } => ("E-PLAN", path),
             Self::SourceChanged { path } => ("E-SOURCE-CHANGED", path),
             Self::StalePlan { path, .. } => ("E-PLAN-STALE", path),

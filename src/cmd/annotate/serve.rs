@@ -34,7 +34,11 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     let dataset = Dataset::open(&args.dataset)?;
     let is_imported = store.note(IMPORTED)?.as_deref() == Some(&dataset.manifest().root_hash);
     if !is_imported || args.condition.is_some() {
-        import_dataset(args, store.as_ref(), global)?;
+        let taken = import_dataset(args, store.as_ref(), global)?;
+        taken
+            .messages
+            .iter()
+            .for_each(|message| report::note(message));
     }
     let admin = match admin(&store)? {
         Some(admin) => admin,

@@ -105,6 +105,11 @@ fn restored(done: &Restored) -> String {
         text += &listing(&ids);
     }
     text += &lost_labels(&done.lost);
+    if !done.rejected.is_empty() {
+        let count = done.rejected.len();
+        text += &format!("{count} pairs that people rejected since are left out\n");
+        text += &listing(&done.rejected);
+    }
     if !done.left_tables.is_empty() {
         text += &format!(
             "tables of the version before that this one has not: {}\n",

@@ -8,7 +8,7 @@ use compose::{ComposeConfig, ItemConfig, ItemTask};
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Split};
-use eval::figure::{Figure, Point, Sections};
+use eval::figure::{EPOCH, Figure, Point, Sections};
 use eval::metric::interval::MOST_TRAININGS;
 use eval::metric::{self, Metric};
 use eval::names::ALL_TASKS;
@@ -21,12 +21,13 @@ use train::coordinator::CoordinatorConfig;
 use train::j2s::J2sConfig;
 use train::kind::ModelKind;
 use train::registry::{self, MODELS};
-use train::system::EditConfig;
+use train::system::{EditConfig, EditInput};
 use train::text::bert::BertFiles;
 use train::tmr::TmrConfig;
 
 use super::files::{chart_name, file_name, table_name};
 use super::pictures::Picture;
+use crate::cmd::edit::system_name;
 use crate::cmd::eval::TableArg;
 use crate::global::Global;
 use crate::judge::is_builtin;
@@ -118,6 +119,22 @@ struct System {
     poses: bool,
     /// Training seeds that override the plan's.
     train_seeds: Option<Vec<u64>>,
+}
+
+impl System {
+    /// Refuses settings of a coordinator's guidance if no coordinator guides the system. Those of sections that several
+    /// systems share pass.
+    fn check_guided(&self, mut keys: impl Iterator<Item = String>) -> anyhow::Result<()> {
+        const OF_GUIDANCE: [&str; 2] = ["edit.coordinator_", "train.coordinator."];
+        let is_of_guidance = |key: &String| OF_GUIDANCE.iter().any(|begin| key.starts_with(begin));
+        match keys.find(is_of_guidance).filter(|_| !self.coordinator) {
+            Some(key) => bail!(
+                "system {:?} makes no use of {key}; give it a coordinator (coordinator = true)",
+                self.name
+            ),
+            None => Ok(()),
+        }
+    }
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -276,6 +293,10 @@ impl Plan {
         }
         for system in &self.systems {
             let (name, model) = (&system.name, &system.model);
+            system_name(name)
+                .map_err(|problem| anyhow::anyhow!("name of a [[system]]: {problem}"))?;
+            let own = system.edit.keys().map(|key| format!("edit.{key}"));
+            system.check_guided(own)?;
             if registry::model(model).is_some_and(|kind| kind.open.is_none()) {
                 bail!("system {name:?} is of model {model}, which edits no motions");
             }
@@ -308,6 +329,12 @@ impl Plan {
         let of_pictures = self.pictures.iter().flat_map(|picture| &picture.systems);
         for name in of_tables.chain(of_figures).chain(of_pictures) {
             self.system(Some(name))?;
+        }
+        for figure in &self.figures {
+            let keys = [Some(&figure.key), figure.second_key.as_ref()];
+            self.system(figure.system.as_ref())?
+                .check_guided(keys.into_iter().flatten().cloned())
+                .with_context(|| format!("figure {}", figure.name))?;
         }
         self.check_files()
     }
@@ -483,6 +510,10 @@ impl Plan {
             ..settings::over(&EditConfig::default(), "edit", &own("edit"))?
         };
         edit.check()?;
+        let checkpoint = epoch.map(|_| (EPOCH, EditInput::Checkpoint));
+        let given = edit.given().chain(checkpoint);
+        let checked = training.model.check_edit_inputs(given);
+        checked.with_context(|| format!("system {:?}", system.name))?;
         Ok(Spec {
             name: system.name.clone(),
             training,

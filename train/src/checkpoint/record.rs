@@ -43,6 +43,10 @@ pub struct RunRecord<C> {
     /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded only the name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skeleton_hash: Option<String>,
+    /// BLAKE3 of the file that the weights were imported from; none in runs that were trained, or imported by version 0.2
+    /// or earlier.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imported: Option<String>,
     /// Lineage of the weights, oldest first; empty for a run that was neither extended nor started from other weights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lineage: Vec<Ancestor>,
@@ -89,6 +93,7 @@ impl<C> RunRecord<C> {
             dataset_hash: dataset_hash.to_owned(),
             skeleton: skeleton.name().to_owned(),
             skeleton_hash: Some(skeleton.hash()),
+            imported: None,
             lineage: Vec::new(),
             config,
         }
@@ -235,7 +240,8 @@ pub(super) fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::
     serde_json::from_str(&serde_json::to_string(document)?)
 }
 
-/// The fields in which two documents differ, with both values. Program versions and lineage are not compared.
+/// The fields in which two documents differ, with both values. Program versions, imported file and lineage are not
+/// compared.
 pub(super) fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
     fn walk(recorded: &Value, asked: &Value, path: &str, found: &mut BTreeMap<String, [Value; 2]>) {
         let (Value::Object(before), Value::Object(after)) = (recorded, asked) else {
@@ -252,7 +258,7 @@ pub(super) fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [
             } else {
                 format!("{path}.{name}")
             };
-            if path == "versions" || path == "lineage" {
+            if ["versions", "imported", "lineage"].contains(&path.as_str()) {
                 continue;
             }
             let side = |document: &serde_json::Map<String, Value>| {

@@ -40,6 +40,40 @@ fn started() -> (tempfile::TempDir, Run) {
 }
 
 #[test]
+fn a_run_is_written_by_one_process_at_a_time() {
+    let (dir, run) = started();
+    let second = Run::open(dir.path(), &record(4)).expect_err("locked");
+    assert_eq!(second.code().expect("a code").0, "E-LOCKED");
+    read_record::<Settings>(dir.path(), "test").expect("readers take no lock");
+    drop(run);
+    Run::open(dir.path(), &record(4)).expect("free again");
+}
+
+#[test]
+fn a_refused_run_leaves_no_folder_and_a_dataset_as_it_was() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path().join("run");
+    let start = Start::from(&run);
+    let extend = Start {
+        extend: true,
+        ..start
+    };
+    let init = Start {
+        init: Some(dir.path()),
+        ..start
+    };
+    for start in [extend, init] {
+        Run::open(start, &record(4)).expect_err("nothing to begin with");
+        assert!(!run.exists());
+    }
+    fs::create_dir_all(run.join("meta")).expect("made");
+    fs::write(run.join("meta/manifest-1.json"), "{}").expect("written");
+    let occupied = Run::open(&run, &record(4)).expect_err("a dataset");
+    assert_eq!(occupied.code().expect("a code").0, "E-OCCUPIED");
+    assert!(!run.join(CONFIG).exists());
+}
+
+#[test]
 fn a_checkpoint_is_replaced_whole_and_survives_a_crash_between_renames() {
     let (dir, run) = started();
     assert!(read(dir.path(), Slot::Last).expect("read").is_none());

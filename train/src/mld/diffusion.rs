@@ -9,7 +9,7 @@ use super::KIND;
 use super::autoencoder::{self, Autoencoder, latent_noise};
 use super::config::MldConfig;
 use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows};
-use crate::checkpoint::{Run, RunRecord, Start};
+use crate::checkpoint::{Run, RunRecord, Start, check_free};
 use crate::data::{TextBatch, Texts};
 use crate::features::Moments;
 use crate::fit::TextRecord;
@@ -50,7 +50,8 @@ impl MldRecord {
 /// # Errors
 /// - The settings are unusable, or the text encoder is missing.
 /// - A split has no clip that is long enough, or a clip has no caption.
-/// - The folder holds another run or a damaged checkpoint, or a file cannot be written.
+/// - The folder holds another run, a dataset or a damaged checkpoint, another process writes to it, or a file cannot be
+///   written.
 /// - `start` asks to extend a run or to start from another run's weights.
 /// - A loss is not finite.
 pub fn train_mld<'a>(
@@ -62,9 +63,12 @@ pub fn train_mld<'a>(
     config.check()?;
     let start = start.into();
     if start.extend || start.init.is_some() {
-        let reason = "it consists of two runs; --extend and --init are for one";
-        return Err(Error::not_a_run(start.run, KIND, reason));
+        return Err(Error::Refused(
+            "MLD consists of two runs, and --extend and --init are for one; train it into a new folder without them"
+                .to_owned(),
+        ));
     }
+    check_free(start.run)?;
     let min_frames = config.autoencoder.min_frames;
     let rows = |clips, what| captioned_rows(clips, corpus.skeleton, min_frames, what);
     let train = rows(corpus.train, "training split of MLD")?;

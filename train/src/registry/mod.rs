@@ -2,11 +2,13 @@
 
 mod nearest;
 
+use std::path::Path;
+
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
 
 use crate::Error;
-use crate::checkpoint::{check_skeleton, read_kind};
+use crate::checkpoint::{check_skeleton, read_any, read_kind};
 use crate::fit;
 use crate::kind::ModelKind;
 use crate::stage::{captioned, coordinator, editor, encoder, poses};
@@ -33,8 +35,8 @@ pub fn model(name: &str) -> Option<&'static ModelKind> {
 /// Opens a run folder of any model as an editing system for motions on a skeleton.
 ///
 /// # Errors
-/// A number of the settings is not usable, the folder does not hold a model that edits motions, or the model or a
-/// network that it uses cannot be loaded or was trained on another skeleton.
+/// A setting is not usable, the folder does not hold a model that edits motions, the model would ignore an input, or the
+/// model or a network that it uses cannot be loaded or was trained on another skeleton.
 pub fn open_system(
     source: &SystemSource,
     config: &EditConfig,
@@ -42,11 +44,13 @@ pub fn open_system(
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
     config.check()?;
-    let kind = read_kind(&source.run)?;
-    let Some(open) = model(&kind).and_then(|kind| kind.open) else {
-        let reason = format!("it is a run of {kind:?}, which edits no motions");
+    let name = read_kind(&source.run)?;
+    let kind = model(&name).and_then(|kind| Some((kind, kind.open?())));
+    let Some((kind, editing)) = kind else {
+        let reason = format!("it is a run of {name:?}, which edits no motions");
         return Err(Error::not_a_run(&source.run, fit::KIND, reason));
     };
+    kind.check_edit_inputs(source.given().chain(config.given()))?;
     check_skeleton(&source.run, "the editor", skeleton)?;
     if let Some(run) = &source.poses {
         check_skeleton(run, "the pose network", skeleton)?;
@@ -54,7 +58,15 @@ pub fn open_system(
     if let Some(run) = &source.coordinator {
         check_skeleton(run, "the coordinator", skeleton)?;
     }
-    open(source, config, skeleton, device)
+    (editing.open)(source, config, skeleton, device)
+}
+
+/// Whether a run takes the vectors of texts from a frozen encoder.
+///
+/// # Errors
+/// The folder is not a run.
+pub fn has_frozen_text(run: &Path) -> Result<bool, Error> {
+    Ok(read_any(run)?.config.pointer("/text/frozen").is_some())
 }
 
 #[cfg(test)]

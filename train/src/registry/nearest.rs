@@ -17,7 +17,7 @@ use work::Context;
 
 use crate::checkpoint::{Run, RunRecord, read_record};
 use crate::error::motion_error;
-use crate::kind::{Input, ModelKind, TrainRequest, Trained};
+use crate::kind::{Editing, Input, ModelKind, TrainRequest, Trained};
 use crate::sample::EditTimes;
 use crate::system::{
     EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
@@ -31,7 +31,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     uses: &[Input::Compose],
     preset: |_| serde_json::Value::Null,
     train,
-    open: Some(open),
+    open: Some(|| Editing { uses: &[], open }),
 };
 
 const KIND: &str = "nearest";
@@ -112,9 +112,6 @@ fn open(
     skeleton: &Skeleton,
     _device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    source.check_alone(
-        "the nearest neighbour returns motions of the training set and uses no network",
-    )?;
     let record = read_record::<NearestRecord>(&source.run, KIND)?;
     let folder = Dataset::open(&source.run.join(TRIPLETS))?;
     let mut targets: BTreeMap<String, Vec<Motion>> = BTreeMap::new();

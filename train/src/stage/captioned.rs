@@ -111,7 +111,9 @@ fn train_on_captions(
     let captions = train.iter().chain(&val).flat_map(|clip| &clip.captions);
     let captions: Vec<String> = captions.cloned().chain([String::new()]).collect();
     let (run, source) = (request.start.run, request.text_encoder);
-    let vectors = kept(source.embeddings(run, &captions, encoder, session)?, run)?;
+    let known = request.start.known().unwrap_or(run);
+    let vectors = source.embeddings(known, &captions, encoder, session)?;
+    let vectors = kept(vectors, run)?;
     let report = fit(CaptionedCorpus {
         train: &train,
         val: &val,

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use compose::recording::settings_of;
 use compose::{COMPOSED, ComposeConfig, ReadOrder, WindowLoader, library};
 use datasets_spec::record::{NormalizerRow, WindowRow};
 use datasets_spec::table::Row;
@@ -10,8 +11,10 @@ use kinematics::normalise::Normalizer;
 
 use super::{Streams, kept};
 use crate::checkpoint::Start;
+use crate::compose::ComposeRecord;
 use crate::config::TrainConfig;
 use crate::edit;
+use crate::error::json_error;
 use crate::fit::{self, Corpus, train_motionrefit};
 use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::text::clip::ClipModel;
@@ -34,11 +37,13 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: Some(edit::open),
 };
 
-/// Trains the editor on composed windows, or on those recorded in the folder `windows`, or continues its run.
-/// `text_encoder` is the source of a frozen text encoder, for settings that use one.
+/// Trains the editor on composed windows, or on those recorded in the folder `windows`, or continues its run. Recorded
+/// windows state how they were composed, and `compose` is not used for them. `text_encoder` is the source of a frozen
+/// text encoder, for settings that use one.
 ///
 /// # Errors
-/// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read.
+/// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read, or windows do not state
+/// how they were composed.
 pub fn train_editor<'a>(
     dataset: &Dataset,
     start: impl Into<Start<'a>>,
@@ -52,22 +57,28 @@ pub fn train_editor<'a>(
     config.check()?;
     let start = start.into();
     let seed = config.run.seed;
-    let streams = Streams::open(dataset, compose, config.window, seed, start.range()?)?;
+    let windows = windows.map(|folder| recorded_windows(folder, config.window));
+    let windows = windows.transpose()?;
+    let compose = windows.as_ref().map_or(compose, |(_, made)| &made.config);
+    let mut streams = Streams::open(dataset, compose, config.window, seed, start.range()?)?;
     let normalizer = &streams.normalizer;
-    let recorded = match windows {
-        Some(folder) => {
-            let fitted = library(dataset, Split::Train)?.fit_normalizer(&streams.compose.config)?;
-            Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
+    let recorded = match &windows {
+        Some((windows, made)) => {
+            streams.compose.seed = made.seed;
+            let fitted = library(dataset, Split::Train)?.fit_normalizer(&made.config)?;
+            Some(loader(windows, [&fitted, normalizer], Seed(seed))?)
         }
         None => None,
     };
+    let windows = windows.as_ref().map(|(windows, _)| windows);
     let instructions = match &recorded {
         Some(loader) => loader.instructions().to_vec(),
         None => streams.train.instructions(),
     };
     let all = [instructions.clone(), streams.val.instructions()].concat();
     let encoder = (config.text.encoder, ClipModel::VitB32);
-    let vectors = text_encoder.embeddings(start.run, &all, encoder, session)?;
+    let known = start.known().unwrap_or(start.run);
+    let vectors = text_encoder.embeddings(known, &all, encoder, session)?;
     let vectors = kept(vectors, start.run)?;
     let corpus = Corpus {
         train: match &recorded {
@@ -79,7 +90,7 @@ pub fn train_editor<'a>(
         vectors: vectors.as_ref(),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
-        dataset_hash: &data_hash(dataset, windows)?,
+        dataset_hash: &data_hash(dataset, windows),
         compose: &streams.compose,
     };
     train_motionrefit(start, config, corpus, session)
@@ -102,25 +113,43 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
 }
 
 /// Identifies the editor's training data: the tables that edits are composed from, and recorded windows, if any.
-fn data_hash(dataset: &Dataset, windows: Option<&Path>) -> Result<String, Error> {
+fn data_hash(dataset: &Dataset, windows: Option<&Dataset>) -> String {
     let composed = dataset.content_hash(&COMPOSED);
-    let Some(folder) = windows else {
-        return Ok(composed);
+    let Some(windows) = windows else {
+        return composed;
     };
-    let recorded = Dataset::open_unverified(folder)?.content_hash(&[WindowRow::TABLE]);
+    let recorded = windows.content_hash(&[WindowRow::TABLE]);
     let both = blake3::hash(format!("{composed} {recorded}").as_bytes());
-    Ok(both.to_hex().to_string())
+    both.to_hex().to_string()
 }
 
-/// Opens recorded windows. Their normaliser must be the one fitted to the dataset, and that of the run.
-fn recorded_windows(
-    folder: &Path,
+/// Recorded windows, and how they were composed. The network takes windows of `window` frames.
+fn recorded_windows(folder: &Path, window: usize) -> Result<(Dataset, ComposeRecord), Error> {
+    let windows = Dataset::open(folder)?;
+    let Some(made) = settings_of(&windows).map_err(json_error(folder))? else {
+        return Err(Error::Refused(format!(
+            "{} does not state how windows were composed (version 0.2 and earlier left that out); record them again: \
+             stance triplets DATASET --windows N --out FOLDER",
+            folder.display()
+        )));
+    };
+    let made = ComposeRecord {
+        config: made.config,
+        seed: made.seed,
+    };
+    made.check(window)?;
+    Ok((windows, made))
+}
+
+/// Opens recorded windows for training. Their normaliser must be the one fitted to the dataset, and that of the run.
+fn loader(
+    windows: &Dataset,
     [fitted, used]: [&Normalizer; 2],
     seed: Seed,
 ) -> Result<WindowLoader, Error> {
-    let recorded = Dataset::open(folder)?;
-    let rows: Vec<NormalizerRow> = recorded.read(None)?;
-    let misfit = |problem| Error::Refused(format!("the windows in {} {problem}", folder.display()));
+    let rows: Vec<NormalizerRow> = windows.read(None)?;
+    let folder = windows.root().display();
+    let misfit = |problem| Error::Refused(format!("the windows in {folder} {problem}"));
     if used.hash() != fitted.hash() {
         return Err(misfit(
             "use the normaliser of their dataset, and the run keeps that of the weights it begins \
@@ -135,5 +164,5 @@ fn recorded_windows(
         ));
     }
     let order = ReadOrder::Shuffled(seed);
-    Ok(WindowLoader::open(&recorded, Split::Train, order)?)
+    Ok(WindowLoader::open(windows, Split::Train, order)?)
 }

@@ -18,6 +18,7 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::Normalizer;
 
 use crate::Error;
+use crate::checkpoint::check_free;
 use crate::compose::ComposeRecord;
 use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
@@ -88,11 +89,15 @@ pub(crate) fn validation_stream(
 }
 
 /// Stores the vectors of a run's texts, if there are any, in its folder, and returns them.
+///
+/// # Errors
+/// The folder holds a dataset, or the file cannot be written.
 pub(crate) fn kept(
     table: Option<EmbeddingTable>,
     run: &Path,
 ) -> Result<Option<EmbeddingTable>, Error> {
     if let Some(table) = &table {
+        check_free(run)?;
         std::fs::create_dir_all(run).map_err(Error::io("create", run))?;
         table.save(&run.join(EMBEDDINGS))?;
     }

@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use tables::chosen;
 use work::Quarantine;
 
+use crate::checkpoint::check_skeleton;
 use crate::config::{not_negative, positive};
 use crate::humanml3d::mean_bone_drift_m;
 use crate::mld::{Base, Generator, LatentNoise};
@@ -102,9 +103,9 @@ pub struct VariantReport {
 /// Captions keep the split of their clip; the split of other texts is drawn at random.
 ///
 /// # Errors
-/// A setting is not usable, the generator or the dataset cannot be loaded, there are no instructions, a text cannot be
-/// encoded, a generated motion is not finite, the session is stopped, or the folder holds another dataset or cannot be
-/// written.
+/// A setting is not usable, the generator or the dataset cannot be loaded, the generator was trained on another skeleton
+/// than the dataset's, there are no instructions, a text cannot be encoded, a generated motion is not finite, the session
+/// is stopped, or the folder holds another dataset or cannot be written.
 ///
 /// # Source
 /// MotionReFit, Sec. 4.1 and App. D.3.
@@ -165,6 +166,7 @@ impl Making {
         config.check()?;
         let dataset = Dataset::open(root)?;
         let skeleton = dataset.skeleton()?;
+        check_skeleton(run, "the generator", &skeleton)?;
         let generator = Generator::load(run, device)?;
         let bases = bases(&dataset, instructions, config, generator.frames(), seed)?;
         let made_of: Vec<(&str, usize, Split)> = bases

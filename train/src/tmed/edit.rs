@@ -14,6 +14,7 @@ use crate::checkpoint::{Slot, open_for_use};
 use crate::config::Preset;
 use crate::error::motion_error;
 use crate::gaussian::SampleSteps;
+use crate::kind::Editing;
 use crate::model::pass::Pass;
 use crate::model::text::TextBatch;
 use crate::model::tmed::{Condition, TmedModel};
@@ -22,8 +23,8 @@ use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
 use crate::system::Setting::{Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, in_groups,
-    named_with,
+    EditConfig, EditInput, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
+    in_groups, named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -49,13 +50,27 @@ struct TmedSettings {
     max_batch: usize,
 }
 
-pub(crate) fn open(
+pub(crate) fn open() -> Editing {
+    Editing {
+        uses: &[
+            EditInput::Checkpoint,
+            EditInput::Batch,
+            EditInput::Guidance,
+            EditInput::Temperature,
+            EditInput::SourceGuidance,
+            EditInput::Steps,
+            EditInput::FromSource,
+        ],
+        open: system,
+    }
+}
+
+fn system(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    source.check_alone("TMED makes whole motions of rotations and uses no other network")?;
     let mut opened = open_for_use::<TmedRecord>(&source.run, source.slot, KIND)?;
     let record = opened.record.config;
     record.check()?;

@@ -224,6 +224,11 @@ pub trait Release: Send + Sync {
     /// Files of the release.
     fn contents(&self) -> &Contents;
 
+    /// The files that hold a motion. Labels that people made of it hold as long as these are the same.
+    fn motion_files<'a>(&'a self, entry: &'a Entry) -> Vec<&'a str> {
+        vec![&entry.file]
+    }
+
     /// Reads one motion. Called from many threads at once.
     ///
     /// # Errors

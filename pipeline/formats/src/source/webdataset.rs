@@ -129,6 +129,12 @@ impl Release for Shards {
         &self.contents
     }
 
+    fn motion_files<'a>(&'a self, entry: &'a Entry) -> Vec<&'a str> {
+        let members = self.clips.get(&entry.file).into_iter().flatten();
+        let arrays = members.filter(|(ending, _)| **ending != FACTS);
+        arrays.map(|(_, file)| file.as_str()).collect()
+    }
+
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
         let members = self.clips.get(&entry.file);

@@ -135,8 +135,14 @@ impl PairList {
     }
 
     /// Makes the pairs whose motions are in the dataset. A motion is named by its id, with or without a file extension.
-    /// `known` holds the pairs of the dataset that do not come from a list; a line that repeats one is refused.
-    pub fn pairs(&self, motions: &BTreeMap<MotionId, Split>, known: &[PairRow]) -> ListedPairs {
+    /// `known` holds the pairs of the dataset that do not come from a list; a line that repeats one is refused, and so is
+    /// one whose source and target people `rejected`.
+    pub fn pairs(
+        &self,
+        motions: &BTreeMap<MotionId, Split>,
+        known: &[PairRow],
+        rejected: &BTreeSet<[MotionId; 2]>,
+    ) -> ListedPairs {
         let known: BTreeMap<(&MotionId, &MotionId), &str> = known
             .iter()
             .map(|row| ((&row.source_id, &row.target_id), row.id.as_str()))
@@ -148,6 +154,13 @@ impl PairList {
         let mut seen: BTreeMap<String, u64> = BTreeMap::new();
         for line in &self.lines {
             let row = line.pair(motions, &known).and_then(|row| {
+                let (source, target) = (&row.source_id, &row.target_id);
+                if rejected.contains(&[source.clone(), target.clone()]) {
+                    return Err(format!(
+                        "people rejected the pair of {source} and {target}; take the rejection back in the annotation \
+                         project to use it"
+                    ));
+                }
                 match seen.insert(row.id.clone(), line.number) {
                     None => Ok(row),
                     Some(first) => {
@@ -358,7 +371,7 @@ mod tests {
             mine/000009_old,000009,\n\
             one,two\n\
             000011,000011,same,x\n";
-        let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[]);
+        let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[], &BTreeSet::new());
         let rows = made.rows.iter();
         let said: Vec<[&str; 3]> = rows
             .map(|row| {
@@ -395,7 +408,7 @@ mod tests {
         let text = "styled,original,style,text,kind,parts,edit_type\n\
             mine/000009_old,000009,,Lean forward more.,fine-grained,TORSO; HEAD,amplitude\n\
             \"mine/walk, slowly\",000011,slow,,style\n";
-        let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[]);
+        let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[], &BTreeSet::new());
         assert_eq!(made.refused, []);
         let [adjusted, slow] = &made.rows[..] else {
             panic!("{:?}", made.rows)
@@ -464,9 +477,9 @@ mod tests {
     #[test]
     fn a_pair_that_is_there_already_is_not_made_twice() {
         let list = PairList::parse(b"mine/000009_old,000009,old,x");
-        let mut known = list.pairs(&motions(), &[]).rows;
+        let mut known = list.pairs(&motions(), &[], &BTreeSet::new()).rows;
         known[0].id = "release".to_owned();
-        let made = list.pairs(&motions(), &known);
+        let made = list.pairs(&motions(), &known, &BTreeSet::new());
         assert!(made.rows.is_empty());
         assert!(made.refused[0].reason.contains("\"release\""), "{made:?}");
     }
