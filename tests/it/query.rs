@@ -294,6 +294,10 @@ fn a_query_answers_as_a_table_json_csv_and_parquet_and_asks_several_datasets() {
     let expected = clips.iter().map(secs).sum::<f64>() / 3600.0;
     assert!((hours - expected).abs() < 1e-9, "{hours} {expected}");
 
+    // One row with structs.
+    let first = asked(folder, "SELECT quality FROM motions ORDER BY id LIMIT 1");
+    assert!(first[0]["quality"].is_object(), "{first:?}");
+
     // Joins, columns of frames, lists and structs.
     let joined = "SELECT m.id, masks.text, m.quality, m.captions, m.transl FROM motions m \
                   JOIN masks ON masks.motion_id = m.id ORDER BY m.id, masks.id LIMIT 3";

@@ -127,6 +127,14 @@ impl Answer {
 fn json(value: &pl::AnyValue<'_>) -> Value {
     let items =
         |series: &pl::Series| Value::Array(series.iter().map(|value| json(&value)).collect());
+    let object = |fields: &[pl::Field], values: &[pl::AnyValue<'_>]| {
+        let named = fields.iter().zip(values);
+        Value::Object(
+            named
+                .map(|(field, value)| (field.name().to_string(), json(value)))
+                .collect(),
+        )
+    };
     match value {
         pl::AnyValue::Null => Value::Null,
         pl::AnyValue::Boolean(is) => Value::Bool(*is),
@@ -143,17 +151,11 @@ fn json(value: &pl::AnyValue<'_>) -> Value {
             Number::from_f64(*number).map_or(Value::Null, Value::Number)
         }
         pl::AnyValue::List(series) | pl::AnyValue::Array(series, _) => items(series),
-        pl::AnyValue::Struct(..) | pl::AnyValue::StructOwned(_) => {
-            let names = match value.dtype() {
-                pl::DataType::Struct(fields) => fields,
-                _ => Vec::new(),
-            };
-            let mut values = Vec::new();
-            value._materialize_struct_av(&mut values);
-            let named = names.iter().zip(&values);
-            let fields = named.map(|(field, value)| (field.name().to_string(), json(value)));
-            Value::Object(fields.collect())
+        pl::AnyValue::Struct(_, _, fields) => {
+            object(fields, &value._iter_struct_av().collect::<Vec<_>>())
         }
+        // The structs of a column with one row; polars cannot iterate over their fields.
+        pl::AnyValue::StructOwned(owned) => object(&owned.1, &owned.0),
         other => match (other.extract::<i64>(), other.extract::<u64>()) {
             (Some(number), _) if other.is_integer() => number.into(),
             (_, Some(number)) if other.is_integer() => number.into(),
