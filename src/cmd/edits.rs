@@ -10,6 +10,7 @@ use pipeline::answers::bundle::Bundle;
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
 use serde_json::json;
 
+use crate::cmd::edit::system_name;
 use crate::evaluators::judge_hash;
 use crate::exit::Exit;
 use crate::global::{Global, one_of};
@@ -63,7 +64,7 @@ struct ImportArgs {
     #[arg(long)]
     items: PathBuf,
     /// Name of the system in tables
-    #[arg(long, value_parser = parse_name)]
+    #[arg(long, value_parser = system_name)]
     name: String,
     /// Settings of the system: a JSON object, or a file with one
     #[arg(long, value_name = "JSON|FILE")]
@@ -86,17 +87,12 @@ struct ImportArgs {
     out: PathBuf,
 }
 
-fn parse_name(text: &str) -> Result<String, String> {
-    trimmed(text).ok_or_else(|| "expected a name".to_owned())
-}
-
 pub(crate) fn parse_license(text: &str) -> Result<String, String> {
-    trimmed(text).ok_or_else(|| "expected a licence".to_owned())
-}
-
-fn trimmed(text: &str) -> Option<String> {
     let text = text.trim();
-    (!text.is_empty()).then(|| text.to_owned())
+    match text.is_empty() {
+        true => Err("expected a licence".to_owned()),
+        false => Ok(text.to_owned()),
+    }
 }
 
 fn parse_zip(text: &str) -> Result<PathBuf, String> {

@@ -98,6 +98,18 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     folder
         .typed("run --config @builtin.toml")
         .expect_refused("builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]");
+    // What the editor would ignore, or no table takes, is refused before anything is trained.
+    for (edit, said) in [
+        ("steps = 5", "makes no use of --diffusion-steps"),
+        ("name = \"Identity\"", "is a row of every table"),
+    ] {
+        let plan = format!("sources = [\"corpus\"]\nout = \"refused\"\n[edit]\n{edit}\n");
+        folder.put("refused.toml", plan);
+        folder
+            .typed("run --config @refused.toml")
+            .expect_refused(said);
+        assert!(!folder.path("refused").exists());
+    }
 
     // Each stage also has its own verb.
     // Another seed has another triplet of the same id, so the seed and the settings are stated.

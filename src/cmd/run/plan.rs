@@ -14,9 +14,11 @@ use serde_json::{Map, Value};
 use train::config::{Preset, TrainConfig};
 use train::coordinator::CoordinatorConfig;
 use train::j2s::J2sConfig;
+use train::registry;
 use train::system::EditConfig;
 use train::tmr::TmrConfig;
 
+use crate::cmd::edit::system_name;
 use crate::global::Global;
 use crate::judge::{BUILTIN, EncoderConfig};
 use crate::seeds::Seeds;
@@ -156,6 +158,12 @@ impl Plan {
         let compose = &TrainConfig::compose_preset(preset);
         let compose = settings::over(compose, "compose", &config.compose)?;
         config.edit.check()?;
+        if let Some(editor) = registry::model("motionrefit") {
+            editor.check_edit_inputs(config.edit.given())?;
+        }
+        if let Some(name) = &config.edit.name {
+            system_name(name).map_err(|problem| anyhow::anyhow!("edit.name: {problem}"))?;
+        }
         Ok(Self {
             config,
             compose,
