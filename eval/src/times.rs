@@ -27,8 +27,8 @@ pub struct WindowTimes {
     pub batch: Option<f64>,
 }
 
-/// File beside a table of edits with the times of making it. The hash of the table does not include it. It is removed
-/// when other edits take their place.
+/// File beside a table of edits with the times of making them. The hash of the table does not include it. Committing
+/// other edits removes it.
 pub const TIMES: &str = "times.json";
 
 impl WindowTimes {

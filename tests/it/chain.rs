@@ -112,7 +112,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     }
 
     // Each stage also has its own verb.
-    // Another seed has another triplet of the same id, so the seed and the settings are stated.
+    // With another seed, the same id is another triplet; so the output states the seed and the settings.
     let explain = "triplets @run/dataset --explain train-semantic-0-3";
     let [first, other] = ["0", "5"].map(|seed| {
         let explained: Value = folder.json(&format!("{explain} --seed {seed}"));

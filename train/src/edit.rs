@@ -42,22 +42,20 @@ struct MotionRefitSystem {
 /// clips of the Bandai-Namco set's test split, so results on that split are biased.
 const NETWORK_PRIOR: f64 = 0.01;
 
-pub(crate) fn open() -> Editing {
-    Editing {
-        uses: &[
-            EditInput::Checkpoint,
-            EditInput::Batch,
-            EditInput::Guidance,
-            EditInput::Temperature,
-            EditInput::Coordinator,
-            EditInput::Poses,
-            EditInput::Fit,
-        ],
-        open: system,
-    }
-}
+pub(crate) const EDITING: Editing = Editing {
+    uses: &[
+        EditInput::Checkpoint,
+        EditInput::Batch,
+        EditInput::Guidance,
+        EditInput::Temperature,
+        EditInput::Coordinator,
+        EditInput::Poses,
+        EditInput::Fit,
+    ],
+    open,
+};
 
-fn system(
+fn open(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,

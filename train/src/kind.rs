@@ -31,7 +31,7 @@ pub struct ModelKind {
     /// Trains a model of this kind on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
     /// How a trained model is opened as an editing system; `None` for models that do not edit motions.
-    pub open: Option<fn() -> Editing>,
+    pub open: Option<Editing>,
 }
 
 impl ModelKind {
@@ -43,7 +43,7 @@ impl ModelKind {
         &self,
         given: impl IntoIterator<Item = (&'static str, EditInput)>,
     ) -> Result<(), Error> {
-        let uses = self.open.map_or(&[][..], |open| open().uses);
+        let uses = self.open.map_or(&[][..], |editing| editing.uses);
         match given.into_iter().find(|(_, input)| !uses.contains(input)) {
             Some((name, _)) => Err(Error::Refused(format!(
                 "the model {} makes no use of {name}; edit without it",

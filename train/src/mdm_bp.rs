@@ -48,20 +48,18 @@ struct MdmBpSystem {
     device: Device,
 }
 
-pub(crate) fn open() -> Editing {
-    Editing {
-        uses: &[
-            EditInput::Checkpoint,
-            EditInput::Batch,
-            EditInput::Guidance,
-            EditInput::Temperature,
-            EditInput::Inpainting,
-        ],
-        open: system,
-    }
-}
+pub(crate) const EDITING: Editing = Editing {
+    uses: &[
+        EditInput::Checkpoint,
+        EditInput::Batch,
+        EditInput::Guidance,
+        EditInput::Temperature,
+        EditInput::Inpainting,
+    ],
+    open,
+};
 
-fn system(
+fn open(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,

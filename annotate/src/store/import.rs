@@ -26,7 +26,7 @@ impl Store {
     }
 
     /// Imports tasks. Tasks whose key exists stay unchanged, except that an accepted answer fills one that nobody has
-    /// worked on. What is about other motions than the task of its key is left out.
+    /// worked on. An import about other motions than the known task of its key is left out.
     pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
         let mut done = Imported::default();
         for group in tasks.chunks(project::AT_ONCE) {

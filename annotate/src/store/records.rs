@@ -333,8 +333,7 @@ pub struct Imported {
     pub filled: i64,
     /// Keys of tasks whose imported answer was skipped, because the task already has an answer or a decision.
     pub conflicts: Vec<String>,
-    /// Keys of tasks that existed and are about other motions, and stay unchanged: what was imported under them was
-    /// skipped.
+    /// Keys under which a task about other motions existed. It stays as it was, and what was imported is skipped.
     pub others: Vec<String>,
 }
 

@@ -1,6 +1,6 @@
-//! Diagnosis of sources before ingesting: present and missing files. Of single files with motions, only names and first
-//! bytes are read, except captures of markers: their labels and unit decide whether they give motions. Releases are
-//! planned as ingestion plans them, so that their clips are counted.
+//! Diagnosis of sources before ingesting: present and missing files. A file with one
+//! motion is judged by its name and first bytes; a capture of markers is read, because its labels and unit decide
+//! whether it gives a motion. Clips of releases are counted as ingestion counts them.
 
 mod advice;
 mod amass;

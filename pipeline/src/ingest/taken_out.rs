@@ -37,7 +37,7 @@ fn left_out(recorded: &Recorded) -> BTreeMap<&str, Vec<LeftOut<'_>>> {
     let mut known: BTreeSet<&str> = left.iter().map(|left| left.id).collect();
     known.extend(recorded.clips.iter().map(|clip| clip.id.as_str()));
     for row in rows.filter(|row| row.reason == IN_BOTH) {
-        // File names may hold `#` as well, so the id is looked for behind each.
+        // File names may contain `#` too, so what follows each `#` is tried as the id.
         let ends = row.path.match_indices('#');
         let ends = ends.map(|(at, _)| (&row.path[..at], &row.path[at + 1..]));
         let clips = ends.filter(|(_, id)| known.contains(id));

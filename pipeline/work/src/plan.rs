@@ -75,8 +75,8 @@ pub struct Draft {
 }
 
 impl Draft {
-    /// Writes the plan as a new or empty folder, whole or not at all. `tables` writes its other files. An existing plan with the
-    /// same hash and destination stays.
+    /// Writes the plan as a new or empty folder, whole or not at all. `tables` writes its other files. An existing plan
+    /// with the same hash and destination stays.
     ///
     /// # Errors
     /// The folder holds something else, or cannot be written.

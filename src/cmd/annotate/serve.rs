@@ -35,10 +35,9 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     let is_imported = store.note(IMPORTED)?.as_deref() == Some(&dataset.manifest().root_hash);
     if !is_imported || args.condition.is_some() {
         let taken = import_dataset(args, store.as_ref(), global)?;
-        taken
-            .messages
-            .iter()
-            .for_each(|message| report::note(message));
+        for message in &taken.messages {
+            report::note(message);
+        }
     }
     let admin = match admin(&store)? {
         Some(admin) => admin,

@@ -45,7 +45,7 @@ pub fn open_system(
 ) -> Result<Box<dyn EditSystem>, Error> {
     config.check()?;
     let name = read_kind(&source.run)?;
-    let kind = model(&name).and_then(|kind| Some((kind, kind.open?())));
+    let kind = model(&name).and_then(|kind| Some((kind, kind.open?)));
     let Some((kind, editing)) = kind else {
         let reason = format!("it is a run of {name:?}, which edits no motions");
         return Err(Error::not_a_run(&source.run, fit::KIND, reason));

@@ -31,7 +31,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     uses: &[Input::Compose],
     preset: |_| serde_json::Value::Null,
     train,
-    open: Some(|| Editing { uses: &[], open }),
+    open: Some(Editing { uses: &[], open }),
 };
 
 const KIND: &str = "nearest";

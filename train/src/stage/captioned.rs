@@ -29,7 +29,7 @@ pub(crate) const MDM: ModelKind = ModelKind {
             train_mdm(request.start, &config, corpus, session)
         })
     },
-    open: Some(mdm_bp::open),
+    open: Some(mdm_bp::EDITING),
 };
 
 /// MLD. A request's seed and length apply to both of its runs.

@@ -34,7 +34,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     ],
     preset: |preset| document(&TrainConfig::preset(preset)),
     train,
-    open: Some(edit::open),
+    open: Some(edit::EDITING),
 };
 
 /// Trains the editor on composed windows, or on those recorded in the folder `windows`, or continues its run. Recorded

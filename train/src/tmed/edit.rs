@@ -50,22 +50,20 @@ struct TmedSettings {
     max_batch: usize,
 }
 
-pub(crate) fn open() -> Editing {
-    Editing {
-        uses: &[
-            EditInput::Checkpoint,
-            EditInput::Batch,
-            EditInput::Guidance,
-            EditInput::Temperature,
-            EditInput::SourceGuidance,
-            EditInput::Steps,
-            EditInput::FromSource,
-        ],
-        open: system,
-    }
-}
+pub(crate) const EDITING: Editing = Editing {
+    uses: &[
+        EditInput::Checkpoint,
+        EditInput::Batch,
+        EditInput::Guidance,
+        EditInput::Temperature,
+        EditInput::SourceGuidance,
+        EditInput::Steps,
+        EditInput::FromSource,
+    ],
+    open,
+};
 
-fn system(
+fn open(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,

@@ -26,7 +26,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     ],
     preset: |preset| document(&TmedConfig::preset(preset)),
     train,
-    open: Some(edit::open),
+    open: Some(edit::EDITING),
 };
 
 /// Trains TMED as requested, or continues its run. Its settings select the composer's whole clips or the captured pairs
