@@ -166,7 +166,11 @@ pub fn masks(
     let num_clips = dataset.manifest().rows(MotionRow::TABLE, None);
     context.progress.begin("masks", Some(num_clips));
     let skeleton = dataset.skeleton()?;
-    let (motions, activities) = measured(&dataset, &skeleton, config, context)?;
+    // The clips are dropped here: their labels take as much memory as the masks.
+    let automatic = {
+        let (motions, activities) = measured(&dataset, &skeleton, config, context)?;
+        masks::masks_from(&motions, &activities, config)?
+    };
     let mut rows: Vec<MaskRow> = present
         .iter()
         .filter(|mask| {
@@ -178,7 +182,6 @@ pub fn masks(
         .cloned()
         .collect();
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
-    let automatic = masks::masks_from(&motions, &activities, config)?;
     rows.extend(
         automatic
             .into_iter()
@@ -187,7 +190,7 @@ pub fn masks(
     );
     context
         .progress
-        .finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
+        .finish(&format!("{} masks on {num_clips} clips", rows.len()));
     if is_same_plan && are_same_rows([&rows, &present], |row| row.id.as_str()) {
         return Ok(dataset);
     }

@@ -685,3 +685,26 @@ fn unpacking_shows_how_far_it_is() {
         assert_eq!(said, name == "all.tar.bz2", "{}", ran.stderr);
     }
 }
+
+#[test]
+fn the_frame_rate_of_a_webdataset_is_not_guessed() {
+    let place = Place::new(corpus(12));
+    place.ingest("corpus", "dataset", 0);
+    let (dataset, out) = (place.path("dataset"), place.path("shards"));
+    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
+    for shard in files_with_extension(&out, "tar") {
+        let packed = fs::File::open(shard).expect("a shard");
+        let unpacked = place.path("unpacked");
+        tar::Archive::new(packed).unpack(unpacked).expect("a tar");
+    }
+    let changed = files_with_extension(&place.path("unpacked"), "json").remove(0);
+    let mut facts: Value = serde_json::from_slice(&fs::read(&changed).expect("read")).expect("JSON");
+    facts.as_object_mut().expect("an object").remove("fps").expect("a rate");
+    fs::write(&changed, facts.to_string()).expect("written");
+    place.ingest("unpacked", "again", 3);
+    let name = arg(changed.file_name().expect("a name").as_ref()).to_owned();
+    let quarantine = assert_quarantined(&place.path("again"), &[(&name, "E-WEBDATASET-MEMBER")]);
+    assert_has(&quarantine[&name].reason, &["no frame rate", "`fps`"]);
+    let clips = place.clips("dataset", "").len();
+    assert_eq!(place.clips("again", "").len(), clips - 1);
+}

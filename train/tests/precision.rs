@@ -11,8 +11,8 @@ use train::Session;
 use train::metrics::{self, Curves};
 use train::model::pass::{Arithmetic, has_bf16};
 
-const STEPS: u64 = 60;
-const LOG_EVERY: u64 = 10;
+const STEPS: u64 = 200;
+const LOG_EVERY: u64 = 20;
 
 #[test]
 fn losses_with_products_in_bf16_are_those_of_single_precision_within_two_per_cent() {

@@ -200,9 +200,9 @@ impl Transaction {
         };
         let mut entries = Vec::new();
         for split in Split::ALL {
-            let rows = rows.iter().filter(|row| split_of(row) == split);
-            let rows: Vec<R> = rows.cloned().collect();
-            entries.extend(self.write_shards(Some(split), &rows, &facts)?);
+            let rows: Vec<&R> = rows.iter().filter(|row| split_of(row) == split).collect();
+            let made = |range: Range<usize>| Ok(rows[range].iter().copied().cloned().collect());
+            entries.extend(self.write_made::<R, Error>(Some(split), rows.len(), made, &facts)?);
         }
         Ok(entries)
     }

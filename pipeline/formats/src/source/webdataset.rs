@@ -147,7 +147,10 @@ impl Release for Shards {
         let transl = rows(files, members, transl)?;
         let global_orient = rows(files, members, global_orient)?;
         let body_pose = rows(files, members, body_pose)?;
-        let motion = Fps::new(facts.fps.unwrap_or(Fps::STORE.get()))
+        let fps = facts.fps.ok_or_else(|| {
+            refused(format!("its {FACTS} states no frame rate; add the key `fps`, in frames per second"))
+        })?;
+        let motion = Fps::new(fps)
             .and_then(|fps| Motion::new(fps, transl, global_orient, body_pose))
             .map_err(|error| refused(error.to_string()))?;
         let said = facts.captions.into_iter();
