@@ -16,18 +16,18 @@ use crate::session::go_on;
 pub(crate) struct TrainingsArgs {
     #[command(flatten)]
     pub(crate) device: TrainDeviceArgs,
-    /// Trainings at a time, each with its share of the threads; results do not depend on it [default: 2 for preset tiny
-    /// on the CPU, else 1]
+    /// Trainings at a time, each with its share of the threads; results do not depend on it [default: one for every 4
+    /// threads for preset tiny on the CPU, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     at_once: Option<u16>,
 }
 
 impl TrainingsArgs {
-    /// Number of trainings at a time. Two trainings of a small model with one thread each process 1.6 times as many
-    /// windows per second as one with two threads. For large models memory is the limit, so the default is 1.
+    /// Number of trainings at a time. A step of preset tiny has four micro-batches, each of which keeps one thread busy.
+    /// For large models memory is the limit, so the default is 1.
     pub(crate) fn at_once(&self, preset: Preset) -> usize {
         let fits = if preset == Preset::Tiny && self.device.is_processor() {
-            rayon::current_num_threads().min(2)
+            (rayon::current_num_threads() / 4).max(1)
         } else {
             1
         };

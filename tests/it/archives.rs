@@ -698,8 +698,13 @@ fn the_frame_rate_of_a_webdataset_is_not_guessed() {
         tar::Archive::new(packed).unpack(unpacked).expect("a tar");
     }
     let changed = files_with_extension(&place.path("unpacked"), "json").remove(0);
-    let mut facts: Value = serde_json::from_slice(&fs::read(&changed).expect("read")).expect("JSON");
-    facts.as_object_mut().expect("an object").remove("fps").expect("a rate");
+    let mut facts: Value =
+        serde_json::from_slice(&fs::read(&changed).expect("read")).expect("JSON");
+    facts
+        .as_object_mut()
+        .expect("an object")
+        .remove("fps")
+        .expect("a rate");
     fs::write(&changed, facts.to_string()).expect("written");
     place.ingest("unpacked", "again", 3);
     let name = arg(changed.file_name().expect("a name").as_ref()).to_owned();

@@ -235,10 +235,11 @@ pub fn train_coordinator<'a>(
         kind: KIND,
         samples: "windows",
         run: config.run,
+        of_thread: Some(16),
         epoch_len: segments.train.epoch_len(),
-        draw: &|step| {
+        draw: &|step, micro| {
             let run = &config.run;
-            run.batches(step, |first, count| sampler.draw(first, count))
+            run.batches(step, micro, |first, count| sampler.draw(first, count))
         },
         loss: &|model, batch, device, pass| {
             let rows = batch.timesteps.len();

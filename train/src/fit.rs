@@ -286,10 +286,11 @@ pub fn train_motionrefit<'a>(
         kind: KIND,
         samples: "windows",
         run: config.run,
+        of_thread: Some(16),
         epoch_len: corpus.train.epoch_len(),
-        draw: &|step| {
+        draw: &|step, micro| {
             let run = &config.run;
-            run.batches(step, |first, count| sampler.draw(first, count))
+            run.batches(step, micro, |first, count| sampler.draw(first, count))
         },
         loss: &|model, batch, device, pass| model.loss(&objective, batch, device, pass),
         validation: config.run.validation(config.val_windows, validation)?,

@@ -259,11 +259,21 @@ fn fit<M: Networks>(
         kind: KIND,
         samples: "poses",
         run: settings,
+        of_thread: Some(128),
         epoch_len: train.iter().map(|motion| motion.len() as u64).sum(),
-        draw: &|step| {
-            let poses = draw_poses(train, config.run.batch_size, seed.rng_of(step));
+        draw: &|step, micro| {
+            let run = &config.run;
+            let poses = draw_poses(train, run.batch_size, seed.rng_of(step));
             let noise = seed.derive(&["noise"]).rng_of(step);
-            Ok(vec![(1.0, samples(&poses, config, skeleton, Some(noise)))])
+            let (points, wanted) = samples(&poses, config, skeleton, Some(noise));
+            run.batches(step, micro, |first, count| {
+                let first = (first % run.batch_size as u64) as usize;
+                let rows = |numbers: &[f32]| {
+                    let width = numbers.len() / run.batch_size;
+                    numbers[first * width..(first + count) * width].to_vec()
+                };
+                Ok((rows(&points), rows(&wanted)))
+            })
         },
         loss: &|net, (points, wanted), device, _| {
             let rows = points.len() / config.preset.input();

@@ -102,8 +102,9 @@ pub(crate) fn train<M: Networks, B: Send + Sync>(
     session.progress.advance(training.state.step);
     let model = std::thread::scope(|scope| -> Result<M, Error> {
         let steps = training.state.step..num_steps;
-        let batches = prefetch(scope, steps, |step| (task.draw)(step));
-        let mut devices = Devices::new(&model, session.device, session.more_devices);
+        let micro = devices::micro_batch(task, session);
+        let batches = prefetch(scope, steps, move |step| (task.draw)(step, micro));
+        let mut devices = Devices::new(&model, session, task.run.micro_batch() / micro);
         while training.state.step < num_steps && !session.is_stopped() {
             let begun = session.secs();
             let parts = batches

@@ -536,7 +536,10 @@ fn the_number_of_threads_changes_nothing() {
     let losses = [1, 2, 5].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let dir = tempfile::tempdir().expect("a folder");
-        let act = || train(dir.path(), &rich_config(10), &waves(20));
+        let mut config = rich_config(10);
+        // A step has three micro-batches, of 16, 16 and 8 windows.
+        (config.run.batch_size, config.run.micro_batch_size) = (40, None);
+        let act = || train(dir.path(), &config, &waves(20));
         pool.expect("a pool").install(act);
         logged_losses(dir.path())
     });

@@ -581,10 +581,11 @@ mod tests {
     fn micro_batches_cover_a_step() {
         let mut run = TrainConfig::preset(Preset::Tiny).run;
         (run.batch_size, run.micro_batch_size) = (10, Some(4));
-        let parts: Vec<_> = run.micro_batches(3).collect();
+        let parts: Vec<_> = run.micro_batches(3, run.micro_batch()).collect();
         assert_eq!(parts, [(30, 4), (34, 4), (38, 2)]);
         run.micro_batch_size = None;
-        assert_eq!(run.micro_batches(1).collect::<Vec<_>>(), [(10, 10)]);
+        let parts: Vec<_> = run.micro_batches(1, run.micro_batch()).collect();
+        assert_eq!(parts, [(10, 10)]);
         run.check_whole("").expect("whole");
     }
 

@@ -48,23 +48,29 @@ impl RunSettings {
             .map_or(self.batch_size, |size| size.min(self.batch_size))
     }
 
-    /// The micro-batches of a step, each as the index of its first sample in the run and its number of samples.
-    pub(super) fn micro_batches(&self, step: u64) -> impl Iterator<Item = (u64, usize)> {
-        let (size, micro) = (self.batch_size, self.micro_batch());
+    /// The micro-batches of a step, each as the index of its first sample in the run and its number of samples, at most
+    /// `micro`.
+    pub(super) fn micro_batches(
+        &self,
+        step: u64,
+        micro: usize,
+    ) -> impl Iterator<Item = (u64, usize)> + use<> {
+        let size = self.batch_size;
         (0..size)
             .step_by(micro)
             .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
     }
 
-    /// Draws the micro-batches of a step. `draw` gets the first item and the number of items. Each micro-batch is
-    /// returned with its share of the step's items.
+    /// Draws the micro-batches of a step, of at most `micro` items. `draw` gets the first item and the number of items.
+    /// Each micro-batch is returned with its share of the step's items.
     pub(crate) fn batches<B>(
         &self,
         step: u64,
+        micro: usize,
         draw: impl Fn(u64, usize) -> Result<B, Error>,
     ) -> Result<Vec<(f64, B)>, Error> {
         let share = |count: usize| count as f64 / self.batch_size as f64;
-        self.micro_batches(step)
+        self.micro_batches(step, micro)
             .map(|(first, count)| Ok((share(count), draw(first, count)?)))
             .collect()
     }

@@ -62,9 +62,11 @@ pub(super) fn train(
         kind: KIND,
         samples: "motions",
         run: config.run,
+        // The loss is a mean over the frames of the longest motion of a batch.
+        of_thread: None,
         epoch_len: clips.len() as u64,
-        draw: &|step| {
-            config.run.batches(step, |first, count| {
+        draw: &|step, micro| {
+            config.run.batches(step, micro, |first, count| {
                 let noise = latent_noise(sampler.seed, first, count, config.model.width);
                 Ok((sampler.draw(first, count), Some(noise)))
             })

@@ -112,9 +112,10 @@ pub fn train_mld<'a>(
         kind: KIND,
         samples: "motions",
         run: config.run,
+        of_thread: Some(64),
         epoch_len: train.len() as u64,
-        draw: &|step| {
-            config.run.batches(step, |first, count| {
+        draw: &|step, micro| {
+            config.run.batches(step, micro, |first, count| {
                 let crops = sampler.draw(first, count);
                 noising.noisy(&crops, sampler.seed, first, config.text_dropout)
             })

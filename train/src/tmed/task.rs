@@ -122,10 +122,12 @@ pub fn train_tmed<'a>(
         kind: KIND,
         samples: "clips",
         run: config.run,
+        // The loss is a mean over the frames of a batch.
+        of_thread: None,
         epoch_len: corpus.train.num_clips(),
-        draw: &|step| {
+        draw: &|step, micro| {
             let run = &config.run;
-            run.batches(step, |first, count| sampler.draw(first, count))
+            run.batches(step, micro, |first, count| sampler.draw(first, count))
         },
         loss: &|model, batch, device, pass| {
             objective::loss(model, batch, config, &schedule, device, pass)

@@ -75,9 +75,10 @@ pub fn train_tmr<'a>(
         kind: KIND,
         samples: "clips",
         run: config.run,
+        of_thread: None,
         epoch_len: train.len() as u64,
         // The contrastive loss compares all pairs of a batch, so a batch is not split.
-        draw: &|step| Ok(vec![(1.0, sampler.draw(step))]),
+        draw: &|step, _| Ok(vec![(1.0, sampler.draw(step))]),
         loss: &|model, batch, device, pass| batch_loss(model, batch, config, device, pass),
         validation: val_batches
             .into_iter()

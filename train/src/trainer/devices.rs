@@ -1,31 +1,72 @@
-//! Computes the loss and the gradients of a step, on one or several devices.
+//! Computes the loss and the gradients of a step, on several threads of the processor or on one or several devices.
 
-use burn::module::Module;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
+
+use burn::module::{Module, ModuleMapper, Param};
 use burn::optim::{GradientsAccumulator, GradientsParams};
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::flat::Flat;
 use super::task::Task;
+use crate::Session;
 use crate::model::pass::{Arithmetic, Pass};
+
+/// Number of samples in a micro-batch: that of the settings, or less on a processor. It does not depend on the number
+/// of threads, nor do the results.
+pub(super) fn micro_batch<M, B>(task: &Task<'_, M, B>, session: &Session<'_>) -> usize {
+    let of_settings = task.run.micro_batch();
+    match task.of_thread {
+        // Several threads would draw from the one generator of burn's own dropout.
+        Some(of_thread)
+            if session.arithmetic.uses_kernels(session.device)
+                && session.more_devices.is_empty() =>
+        {
+            of_settings.min(of_thread)
+        }
+        _ => of_settings,
+    }
+}
 
 pub(super) struct Devices<M> {
     first: Device,
     /// The other devices, each with a copy of the model.
     others: Vec<(Device, M)>,
+    /// Number of micro-batches that the processor computes at the same time, at most.
+    at_once: usize,
+    /// Threads for each of them; made by the first step.
+    pools: Vec<ThreadPool>,
 }
 
 impl<M: Module> Devices<M> {
-    pub(super) fn new(model: &M, first: &Device, others: &[Device]) -> Self {
-        let others = others.iter().map(|device| device.clone().autodiff());
+    /// `at_once` is the number of micro-batches whose tensors fit into memory.
+    pub(super) fn new(model: &M, session: &Session<'_>, at_once: usize) -> Self {
+        let others = session.more_devices.iter();
+        let others = others.map(|device| device.clone().autodiff());
         Self {
-            first: first.clone().autodiff(),
+            first: session.device.clone().autodiff(),
             others: others
                 .map(|device| {
                     let copy = model.clone().fork(&device);
                     (device, copy)
                 })
                 .collect(),
+            at_once: at_once.min(rayon::current_num_threads()),
+            pools: Vec::new(),
+        }
+    }
+
+    /// Starts the threads for steps of this number of micro-batches.
+    fn start_threads(&mut self, num_parts: usize) {
+        let at_once = self.at_once.min(num_parts);
+        if at_once > 1 && self.pools.is_empty() {
+            let threads = rayon::current_num_threads() / at_once;
+            let pool = |_| ThreadPoolBuilder::new().num_threads(threads).build();
+            let pools = (0..at_once).map(pool).collect::<Result<_, _>>();
+            self.pools = pools.expect("the system starts a few threads");
         }
     }
 
@@ -40,6 +81,21 @@ impl<M: Module> Devices<M> {
             })
             .collect();
     }
+}
+
+/// A copy of a model that shares its values and has a graph of its own for automatic differentiation. [`Module::fork`]
+/// would add nodes to the graph of the model, and burn keeps those of parameters that no loss uses as long as the model.
+fn twin<M: Module>(model: &M) -> M {
+    struct Twin;
+    impl ModuleMapper for Twin {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            param.map(|values| {
+                let is_trained = values.is_require_grad();
+                Tensor::from_inner(values.inner()).set_require_grad(is_trained)
+            })
+        }
+    }
+    model.clone().map(&mut Twin)
 }
 
 pub(super) struct Step<'a, M, B> {
@@ -66,7 +122,10 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
         if self.parts.len() == 1 {
             return self.of_part(model, 0, &devices.first);
         }
-        let (mut losses, gradients) = if devices.others.is_empty() {
+        devices.start_threads(self.parts.len());
+        let (mut losses, gradients) = if !devices.pools.is_empty() {
+            self.on_threads(model, devices)
+        } else if devices.others.is_empty() {
             self.of_device(model, 0, &devices.first, 1)
         } else {
             devices.update(model);
@@ -114,6 +173,43 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
                 }));
             }
             shares
+        })
+    }
+
+    /// Computes micro-batches side by side on the processor. Their gradients are added in the order of the
+    /// micro-batches, as [`Step::of_device`] adds them.
+    fn on_threads(&self, model: &M, devices: &Devices<M>) -> Share {
+        let device = &devices.first;
+        let next = AtomicUsize::new(0);
+        let (sender, made) = mpsc::channel();
+        std::thread::scope(|scope| {
+            for pool in &devices.pools {
+                let (copy, sender, next) = (twin(model), sender.clone(), &next);
+                let work = move || {
+                    loop {
+                        let index = next.fetch_add(1, Ordering::Relaxed);
+                        if index >= self.parts.len() {
+                            break;
+                        }
+                        let part = self.of_part(&copy, index, device);
+                        sender
+                            .send((index, part))
+                            .expect("the receiver waits for all");
+                    }
+                };
+                scope.spawn(move || pool.install(work));
+            }
+            drop(sender);
+            let (mut losses, mut sum) = (Vec::new(), GradientsAccumulator::new());
+            let mut early = BTreeMap::new();
+            for (index, part) in made {
+                early.insert(index, part);
+                while let Some((loss, gradients)) = early.remove(&losses.len()) {
+                    losses.push((losses.len(), loss));
+                    sum.accumulate(model, gradients);
+                }
+            }
+            (losses, sum.grads())
         })
     }
 

@@ -148,7 +148,9 @@ impl Release for Shards {
         let global_orient = rows(files, members, global_orient)?;
         let body_pose = rows(files, members, body_pose)?;
         let fps = facts.fps.ok_or_else(|| {
-            refused(format!("its {FACTS} states no frame rate; add the key `fps`, in frames per second"))
+            refused(format!(
+                "its {FACTS} states no frame rate; add the key `fps`, in frames per second"
+            ))
         })?;
         let motion = Fps::new(fps)
             .and_then(|fps| Motion::new(fps, transl, global_orient, body_pose))
