@@ -154,7 +154,7 @@ fn json(value: &pl::AnyValue<'_>) -> Value {
         pl::AnyValue::Struct(_, _, fields) => {
             object(fields, &value._iter_struct_av().collect::<Vec<_>>())
         }
-        // The structs of a column with one row; polars cannot iterate over their fields.
+        // A column with one row gives this variant, on which the iterator above panics.
         pl::AnyValue::StructOwned(owned) => object(&owned.1, &owned.0),
         other => match (other.extract::<i64>(), other.extract::<u64>()) {
             (Some(number), _) if other.is_integer() => number.into(),

@@ -136,9 +136,9 @@ impl Bundle {
         Ok(bundle)
     }
 
-    /// Reads a bundle and checks it. The bundle must be complete, hold nothing else, and be made for this skeleton and these
-    /// items with these novelties. Every item must have the same number of answers, all of one system, each a finite
-    /// motion of at least three frames at the item's rate.
+    /// Reads a bundle and checks it. It must hold its files and no others, and state this skeleton, these items and
+    /// their novelties. Every item must have the same number of answers, all of one system, each a finite motion of at
+    /// least three frames at the item's rate.
     ///
     /// # Errors
     /// The bundle breaks one of these rules. The error names the bundle, and the item if it concerns one.

@@ -1,6 +1,6 @@
-//! Diagnosis of sources before ingesting: present and missing files. A file with one
-//! motion is judged by its name and first bytes; a capture of markers is read, because its labels and unit decide
-//! whether it gives a motion. Clips of releases are counted as ingestion counts them.
+//! Diagnosis of sources before ingesting: present and missing files. A file with one motion is judged by its name and
+//! first bytes; a capture of markers is read, because its labels and unit decide whether it gives a motion. Clips of
+//! releases are counted as ingestion counts them.
 
 mod advice;
 mod amass;

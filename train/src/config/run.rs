@@ -61,8 +61,8 @@ impl RunSettings {
             .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
     }
 
-    /// Draws the micro-batches of a step, of at most `micro` items. `draw` gets the first item and the number of items.
-    /// Each micro-batch is returned with its share of the step's items.
+    /// Draws the micro-batches of a step. Each has at most `micro` items and is returned with its share of the step's
+    /// items. `draw` gets the first item and the number of items.
     pub(crate) fn batches<B>(
         &self,
         step: u64,

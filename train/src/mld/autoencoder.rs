@@ -62,7 +62,7 @@ pub(super) fn train(
         kind: KIND,
         samples: "motions",
         run: config.run,
-        // The loss is a mean over the frames of the longest motion of a batch.
+        // The loss also averages over padding, and so depends on the longest motion of the micro-batch.
         of_thread: None,
         epoch_len: clips.len() as u64,
         draw: &|step, micro| {

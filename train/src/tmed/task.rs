@@ -122,7 +122,7 @@ pub fn train_tmed<'a>(
         kind: KIND,
         samples: "clips",
         run: config.run,
-        // The loss is a mean over the frames of a batch.
+        // The loss is a mean over frames, not clips, and positions can depend on the longest source.
         of_thread: None,
         epoch_len: corpus.train.num_clips(),
         draw: &|step, micro| {

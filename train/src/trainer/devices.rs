@@ -35,9 +35,9 @@ pub(super) struct Devices<M> {
     first: Device,
     /// The other devices, each with a copy of the model.
     others: Vec<(Device, M)>,
-    /// Number of micro-batches that the processor computes at the same time, at most.
+    /// Limit of the number of micro-batches that the processor computes at the same time.
     at_once: usize,
-    /// Threads for each of them; made by the first step.
+    /// A pool of threads for each of them; empty before the first step.
     pools: Vec<ThreadPool>,
 }
 
@@ -59,7 +59,7 @@ impl<M: Module> Devices<M> {
         }
     }
 
-    /// Starts the threads for steps of this number of micro-batches.
+    /// Makes the pools in the first step, which has `num_parts` micro-batches.
     fn start_threads(&mut self, num_parts: usize) {
         let at_once = self.at_once.min(num_parts);
         if at_once > 1 && self.pools.is_empty() {
@@ -83,8 +83,8 @@ impl<M: Module> Devices<M> {
     }
 }
 
-/// A copy of a model that shares its values and has a graph of its own for automatic differentiation. [`Module::fork`]
-/// would add nodes to the graph of the model, and burn keeps those of parameters that no loss uses as long as the model.
+/// A copy of a model with the same values and its own graph for automatic differentiation. [`Module::fork`] would add a
+/// node for each parameter to the graph of the model, and burn never frees the nodes of parameters that no loss uses.
 fn twin<M: Module>(model: &M) -> M {
     struct Twin;
     impl ModuleMapper for Twin {
@@ -176,8 +176,8 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
         })
     }
 
-    /// Computes micro-batches side by side on the processor. Their gradients are added in the order of the
-    /// micro-batches, as [`Step::of_device`] adds them.
+    /// Computes micro-batches side by side on the processor. Gradients are added in the order of the micro-batches, so
+    /// the sum does not depend on which thread finishes first.
     fn on_threads(&self, model: &M, devices: &Devices<M>) -> Share {
         let device = &devices.first;
         let next = AtomicUsize::new(0);

@@ -13,13 +13,12 @@ pub(crate) struct Task<'a, M, B> {
     /// Plural noun for the samples, shown with the progress.
     pub(crate) samples: &'static str,
     pub(crate) run: RunSettings,
-    /// Number of samples that a thread of the processor computes at once. With fewer, a thread is slower; with more, a
-    /// step keeps fewer threads busy. `None` if the loss is no mean over samples, so that other micro-batches than those
-    /// of the settings would change it.
+    /// Largest micro-batch on a processor, in samples. Smaller ones are slower; with larger ones, a step keeps fewer
+    /// threads busy. `None` if the loss is not a mean over samples: then its value depends on how a step is split.
     pub(crate) of_thread: Option<usize>,
     pub(crate) epoch_len: u64,
     /// Draws the micro-batches of a step, each with its share of the step's loss. The shares add up to one. The data
-    /// depend only on the run's seed and the step. The second argument is the number of samples in a micro-batch.
+    /// depend only on the run's seed and the step. The arguments are the step and the largest size of a micro-batch.
     pub(crate) draw: &'a (dyn Fn(u64, usize) -> Result<Vec<(f64, B)>, Error> + Sync),
     /// Computes the mean loss of a micro-batch.
     pub(crate) loss: &'a (dyn Fn(&M, &B, &Device, &Pass) -> Tensor<1> + Sync),
