@@ -52,14 +52,15 @@ impl DeviceArgs {
 
     /// Chooses the device of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.choose_of(1, false)
+        self.choose_of(1, Precision::F32)
     }
 
-    fn choose_of(&self, count: usize, bf16: bool) -> anyhow::Result<()> {
+    fn choose_of(&self, count: usize, precision: Precision) -> anyhow::Result<()> {
         let devices = open(self.device, count)?;
+        let bf16 = matches!(precision, Precision::Bf16);
         if bf16 && !devices.iter().all(has_bf16) {
             anyhow::bail!(
-                "device {} does not compute in bfloat16; leave out --bf16",
+                "device {} does not compute in bfloat16; leave out --precision bf16",
                 self.device
             );
         }
@@ -73,6 +74,16 @@ impl DeviceArgs {
     }
 }
 
+/// Precision in which a training multiplies matrices.
+#[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
+enum Precision {
+    /// Single precision, or TF32 where the device takes it for that
+    #[default]
+    F32,
+    /// bfloat16
+    Bf16,
+}
+
 /// Options of verbs that train a model.
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Model options")]
@@ -82,9 +93,10 @@ pub(crate) struct TrainDeviceArgs {
     /// Number of GPUs to train on together
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     devices: u16,
-    /// Multiply in bfloat16, on devices that support it; weights and optimiser stay in single precision
-    #[arg(long)]
-    bf16: bool,
+    /// Precision of the factors of matrix products. bf16 needs a device that supports it; weights, gradients and
+    /// optimiser stay in single precision
+    #[arg(long, value_enum, value_name = "PRECISION", default_value_t)]
+    precision: Precision,
 }
 
 impl TrainDeviceArgs {
@@ -93,7 +105,7 @@ impl TrainDeviceArgs {
     }
 
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.one.choose_of(self.devices.into(), self.bf16)
+        self.one.choose_of(self.devices.into(), self.precision)
     }
 }
 

@@ -2,7 +2,7 @@
 //! results are JSON lines on stdout.
 //!
 //! `cargo bench --features wgpu --bench gpu -- wgpu` names the device; `--peak TFLOPS` gives its peak f32 throughput,
-//! `--bf16` multiplies in bfloat16, and `--quick` runs every measurement once with a small batch.
+//! `--precision bf16` multiplies in bfloat16, and `--quick` runs every measurement once with a small batch.
 #![expect(clippy::print_stdout, reason = "results are printed")]
 
 use std::time::{Duration, Instant};
@@ -38,7 +38,7 @@ fn main() {
         Ok(devices) => devices[0].clone(),
         Err(error) => panic!("{error}"),
     };
-    let bf16 = words.iter().any(|word| word == "--bf16");
+    let bf16 = after("--precision").is_some_and(|precision| precision == "bf16");
     assert!(
         !bf16 || has_bf16(&device),
         "the device does not compute in bfloat16"

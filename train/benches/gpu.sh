@@ -33,7 +33,7 @@ echo "== the denoiser, f32"
 "$bench" "$device" $peak | tee "$out/denoiser.jsonl"
 echo "== the denoiser, bf16"
 # shellcheck disable=SC2086
-"$bench" "$device" $peak --bf16 | tee "$out/denoiser-bf16.jsonl" || echo "not measured: the device does not compute in bf16"
+"$bench" "$device" $peak --precision bf16 | tee "$out/denoiser-bf16.jsonl" || echo "not measured: the device does not compute in bf16"
 
 echo "== PyTorch"
 if python3 -c 'import torch, sys; sys.exit(not torch.cuda.is_available())' 2>/dev/null; then

@@ -1,8 +1,5 @@
 //! CLIP as a text encoder: parity with the reference, all file formats, and tables.
 
-#[path = "../../tests/data/golden.rs"]
-mod recorded;
-
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::io::{Cursor, Write};
@@ -25,13 +22,13 @@ use train::text::tokens::ClipTokenizer;
 use train::vocabulary::TokenBatch;
 use zip::write::SimpleFileOptions;
 
-use recorded::Recorded;
+use crate::recorded::Recorded;
 
 /// Tolerance that the recording states for single precision.
 const TOLERANCE: f32 = 5e-5;
 
 fn read(case: &str) -> Recorded {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     Recorded::read(&root, case)
 }
 

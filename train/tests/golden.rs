@@ -1,14 +1,8 @@
 //! Parity of the networks and the diffusion with the reference implementations.
 
-#[path = "golden/gaussian.rs"]
 mod gaussian;
-#[path = "golden/mdm.rs"]
 mod mdm;
-#[path = "golden/mld.rs"]
 mod mld;
-#[path = "../../tests/data/golden.rs"]
-mod recorded;
-#[path = "golden/tmed.rs"]
 mod tmed;
 
 use std::cell::Cell;
@@ -45,14 +39,14 @@ use train::sample::{Condition, Guide, Sampler};
 use train::schedule::Schedule;
 use train::vocabulary::TokenBatch;
 
+use crate::recorded::Recorded;
 use gaussian::{Derived, check_arrays};
-use recorded::Recorded;
 
 struct Golden(Recorded);
 
 impl Golden {
     fn read(name: &str) -> Self {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         Self(Recorded::read(&root, name))
     }
 

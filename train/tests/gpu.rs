@@ -1,10 +1,6 @@
 //! Every network on a device other than the processor: a software driver that uses the same backend as a GPU.
 //! `train/tests/gpu` runs this test.
 
-#[path = "support/items.rs"]
-mod items;
-mod support;
-
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
@@ -13,7 +9,7 @@ use burn::cubecl::logging::{LaunchObservation, LaunchObserver};
 use burn::tensor::Device;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{NoProgress, Progress, Seed, Skeleton};
-use support::{Data, on, settings, train};
+use support::{Data, items, on, settings, train};
 use train::config::Preset;
 use train::device::{Adapter, DeviceName, Products, check, list, open};
 use train::metrics::{self, Curves};
@@ -31,9 +27,9 @@ static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     devices[0].clone()
 });
 
-static DATA: LazyLock<Data> = LazyLock::new(Data::new);
+static DATA: LazyLock<Data> = LazyLock::new(Data::make);
 
-static ITEMS: LazyLock<Vec<ItemRow>> = LazyLock::new(|| items::items(&DATA));
+static ITEMS: LazyLock<Vec<ItemRow>> = LazyLock::new(|| items(&DATA));
 
 /// Number of steps of a run.
 const STEPS: u64 = 10;

@@ -1,10 +1,7 @@
 //! The trainer learns, stops and continues runs, and edits are repeatable.
 
-#[path = "learning/mdm.rs"]
 mod mdm;
-#[path = "learning/mld.rs"]
 mod mld;
-#[path = "learning/tmed.rs"]
 mod tmed;
 
 use std::f64::consts::{PI, SQRT_2};

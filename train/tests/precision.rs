@@ -1,7 +1,5 @@
 //! Training with matrix products in bfloat16, compared with single precision.
 
-mod support;
-
 use std::sync::atomic::AtomicBool;
 
 use burn::tensor::Device;
@@ -16,7 +14,7 @@ const LOG_EVERY: u64 = 20;
 
 #[test]
 fn losses_with_products_in_bf16_are_those_of_single_precision_within_two_per_cent() {
-    let data = Data::new();
+    let data = Data::make();
     assert!(has_bf16(&Device::flex()));
     // The kernels compute only in single precision, so both runs use the backend's operations.
     let losses = |name: &str, bf16: bool| -> Curves {

@@ -1,15 +1,11 @@
 //! A device is read only where `docs/gpu.md` says. There is only one test, because reads are counted for the whole
 //! process.
 
-#[path = "support/items.rs"]
-mod items;
-mod support;
-
 use std::sync::atomic::AtomicBool;
 
 use burn::tensor::Device;
 use datasets_spec::{NoProgress, Seed, Skeleton};
-use support::{Data, on, settings, train};
+use support::{Data, items, on, settings, train};
 use train::mld::{Base, Generator, LatentNoise};
 use train::registry::open_system;
 use train::system::{EditConfig, SystemSource, edit_items};
@@ -28,8 +24,8 @@ fn counted<T>(act: impl FnOnce() -> T) -> (u64, T) {
 
 #[test]
 fn nothing_is_read_inside_a_step_of_training_or_sampling() {
-    let data = Data::new();
-    let items = items::items(&data);
+    let data = Data::make();
+    let items = items(&data);
     let device = Device::flex();
     let stop = AtomicBool::new(false);
     let reads_of = |network: &str, own: &serde_json::Value| {

@@ -4,7 +4,7 @@
 //! on this folder then shows the screens of the README's pictures:
 //!
 //! ```sh
-//! ANNOTATE_SEED=DATASET cargo test --release -p stance -p annotate --test server work_of_a_team
+//! ANNOTATE_SEED=DATASET cargo test --release -p stance -p annotate-tests --test server work_of_a_team
 //! ```
 
 use std::collections::BTreeMap;

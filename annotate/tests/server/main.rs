@@ -1,6 +1,8 @@
-//! Integration tests of the annotation server and its store, with a module per topic.
+//! Integration tests of the annotation server and its store, with a module per topic. They are a package of their own
+//! so that a change of `pipeline` does not compile the unit tests of `annotate` again.
 
 mod api;
+mod bundle;
 mod captures;
 mod deployment;
 mod figures;

@@ -20,7 +20,7 @@ CREATE TRIGGER event_no_delete BEFORE DELETE ON event
 BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 
 fn kept(version: i64, name: &str) -> String {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stores");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("stores");
     std::fs::read_to_string(folder.join(version.to_string()).join(name)).expect("a kept store")
 }
 

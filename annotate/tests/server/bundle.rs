@@ -27,7 +27,7 @@ struct Output {
 }
 
 fn web() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("web")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../web")
 }
 
 fn manifest() -> Manifest {

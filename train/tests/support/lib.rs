@@ -5,8 +5,10 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use burn::tensor::Device;
+use compose::{ItemConfig, ItemCount};
 use corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
-use datasets_spec::{Dataset, NoProgress, Progress, Seed};
+use datasets_spec::record::ItemRow;
+use datasets_spec::{Dataset, NoProgress, Progress, Seed, Split};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::ingest::ingest;
 use pipeline::stage::{self, Context, IngestConfig, Judged};
@@ -20,13 +22,13 @@ use train::registry;
 use train::text::source::TextEncoderSource;
 
 /// A dataset in a temporary folder, which is removed with this value.
-pub(crate) struct Data {
+pub struct Data {
     folder: tempfile::TempDir,
 }
 
 impl Data {
     /// Makes the dataset from the built-in corpus.
-    pub(crate) fn new() -> Self {
+    pub fn make() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let (sources, dataset) = (folder.path().join("corpus"), folder.path().join("dataset"));
         let options = CorpusOptions {
@@ -53,18 +55,18 @@ impl Data {
     }
 
     /// The folder of the dataset.
-    pub(crate) fn dataset(&self) -> PathBuf {
+    pub fn dataset(&self) -> PathBuf {
         self.folder.path().join("dataset")
     }
 
     /// A folder for a run.
-    pub(crate) fn run(&self, name: &str) -> PathBuf {
+    pub fn run(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 }
 
 /// Runs `act` in a session on a device.
-pub(crate) fn on<T>(
+pub fn on<T>(
     device: &Device,
     progress: &dyn Progress,
     stop: &AtomicBool,
@@ -82,7 +84,7 @@ pub(crate) fn on<T>(
 }
 
 /// Settings of a short run of a network: a line of metrics every `log_every` steps, and one validation at the end.
-pub(crate) fn settings(network: &str, steps: u64, log_every: u64) -> Value {
+pub fn settings(network: &str, steps: u64, log_every: u64) -> Value {
     let mut own = json!({
         "batch_size": 4,
         "length": { "steps": steps },
@@ -114,7 +116,7 @@ pub(crate) fn settings(network: &str, steps: u64, log_every: u64) -> Value {
 }
 
 /// Trains the network with the given name, or continues its run.
-pub(crate) fn train(data: &Data, network: &str, run: &Path, own: &Value, session: &Session<'_>) {
+pub fn train(data: &Data, network: &str, run: &Path, own: &Value, session: &Session<'_>) {
     let kind = registry::model(network).expect("a network");
     let request = TrainRequest {
         dataset: &Dataset::open(&data.dataset()).expect("a dataset"),
@@ -131,4 +133,20 @@ pub(crate) fn train(data: &Data, network: &str, run: &Path, own: &Value, session
     if let Err(error) = (kind.train)(&request, session) {
         panic!("{network}: {error}");
     }
+}
+
+/// Two items of the test split.
+pub fn items(data: &Data) -> Vec<ItemRow> {
+    let context = Context {
+        progress: &NoProgress,
+        holder: "a test",
+    };
+    let config = ItemConfig {
+        count: ItemCount::Exactly(2),
+        ..ItemConfig::default()
+    };
+    let dataset = Dataset::open(&data.dataset()).expect("a dataset");
+    let place = data.run("items");
+    let drawn = stage::items(&dataset, &place, Split::Test, &config, Seed(0), &context);
+    drawn.expect("items").dataset.read(None).expect("rows")
 }
