@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::manifest::RejectedMask;
 use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION, MotionId, Split};
 use serde::{Deserialize, Serialize};
@@ -120,6 +121,8 @@ pub struct Taken {
     pub masks: Vec<MaskRow>,
     /// Number of edited lines without a verdict. Their parts and texts are kept as drafts of the author.
     pub open_edits: usize,
+    /// The masks of rejected lines, which are not among `masks`.
+    pub rejected: BTreeSet<RejectedMask>,
 }
 
 /// Origin of a mask text that a person accepted.
@@ -144,6 +147,7 @@ pub fn accept(
     let mut findings = Vec::new();
     let mut judged: BTreeSet<String> = BTreeSet::new();
     let mut rows: Vec<MaskRow> = Vec::new();
+    let mut rejected = BTreeSet::new();
     let mut open_edits = 0;
     for (index, line) in lines.lines().enumerate() {
         if line.trim().is_empty() {
@@ -155,6 +159,9 @@ pub fn accept(
                 let before = drafts.get(id.as_str()).copied();
                 let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
                 open_edits += usize::from(is_open && before != row.as_ref());
+                if let Some(before) = before.filter(|_| row.is_none()) {
+                    rejected.insert((before.motion_id.clone(), Some(id)));
+                }
                 rows.extend(row);
                 continue;
             }
@@ -173,6 +180,7 @@ pub fn accept(
     Ok(Taken {
         masks: rows,
         open_edits,
+        rejected,
     })
 }
 

@@ -14,11 +14,31 @@ pub const SPLIT_BY_FACT: &str = "split_by";
 /// project. It stays when a dataset grows; see [`Manifest::rejected_pairs`].
 pub const REJECTED_PAIRS_FACT: &str = "rejected_pairs";
 
+/// Key of the fact that lists, as JSON, the masks that people rejected, by annotation project or reviewer. It stays when a
+/// dataset grows; see [`Manifest::rejected_masks`].
+pub const REJECTED_MASKS_FACT: &str = "rejected_masks";
+
 /// Beginning of the keys of facts that say what annotation projects wrote into a dataset. They stay when it grows.
 pub const ANNOTATE_FACTS: &str = "annotate_";
 
 /// The type of [`Manifest::rejected_pairs`].
 pub type RejectedPairs = BTreeMap<String, BTreeSet<[MotionId; 2]>>;
+
+/// A clip, and the id of a mask of it; without an id, all masks of the clip.
+pub type RejectedMask = (MotionId, Option<String>);
+
+/// The type of [`Manifest::rejected_masks`].
+pub type RejectedMasks = BTreeMap<String, BTreeSet<RejectedMask>>;
+
+/// Adds the rejections of other lists to those of the same projects.
+pub fn add_rejected<T: Ord>(
+    all: &mut BTreeMap<String, BTreeSet<T>>,
+    more: impl IntoIterator<Item = (String, BTreeSet<T>)>,
+) {
+    for (project, rejected) in more {
+        all.entry(project).or_default().extend(rejected);
+    }
+}
 
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
@@ -150,6 +170,13 @@ impl Manifest {
             let list: Option<BTreeSet<[MotionId; 2]>> = serde_json::from_str(text).ok();
             list.map(|list| (String::new(), list)).into_iter().collect()
         })
+    }
+
+    /// The masks that people rejected, by annotation project or by the reviewer of drafts: no stage makes them again.
+    pub fn rejected_masks(&self) -> RejectedMasks {
+        let text = self.facts.get(REJECTED_MASKS_FACT);
+        text.and_then(|text| serde_json::from_str(text).ok())
+            .unwrap_or_default()
     }
 
     /// Computes the root hash of all files.

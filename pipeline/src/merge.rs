@@ -6,7 +6,8 @@ use std::path::Path;
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{
-    Accounting, FileEntry, REJECTED_PAIRS_FACT, RejectedPairs, plan_hash,
+    Accounting, FileEntry, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedMask, RejectedMasks,
+    RejectedPairs, add_rejected, plan_hash,
 };
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
@@ -44,7 +45,8 @@ pub struct Merged {
     /// Numbers of automatic masks and pairs of clips of both datasets that gave way to labels of the other dataset, by
     /// table.
     pub gave_way: BTreeMap<String, u64>,
-    /// Ids of pairs that were dropped, because people rejected them in one of the datasets and nobody accepted them.
+    /// Ids of pairs and masks that were dropped, because people rejected them in one of the datasets and nobody accepted
+    /// them.
     pub rejected: Vec<String>,
     /// Hash of the result.
     pub root_hash: String,
@@ -169,10 +171,13 @@ pub fn merge(
     let licenses = license::count(transaction.root(), motions)?;
     facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     let splits = splits(&parts, &clips);
-    let rejected = rejected(&parts);
-    let labels = labels(&parts, &splits, &rejected)?;
-    if !rejected.is_empty() {
-        facts.insert(REJECTED_PAIRS_FACT.to_owned(), json(&rejected));
+    let (pairs, masks) = rejected(&parts);
+    let labels = labels(&parts, &splits, &pairs, &masks)?;
+    if !pairs.is_empty() {
+        facts.insert(REJECTED_PAIRS_FACT.to_owned(), json(&pairs));
+    }
+    if !masks.is_empty() {
+        facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&masks));
     }
     let rows = &labels.rows;
     tables.extend(rows.write(&Labels::default(), &transaction, &skeleton, &plan)?);
@@ -397,18 +402,39 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
     splits
 }
 
-/// Source and target of the pairs that people rejected in either dataset, by annotation project.
-fn rejected(parts: &[&Part<'_>; 2]) -> RejectedPairs {
-    let mut all = RejectedPairs::new();
+/// The pairs and masks that people rejected in either dataset, with the ids of the result.
+fn rejected(parts: &[&Part<'_>; 2]) -> (RejectedPairs, RejectedMasks) {
+    let (mut all_pairs, mut all_masks) = (RejectedPairs::new(), RejectedMasks::new());
     for part in parts {
-        for (project, pairs) in part.dataset.manifest().rejected_pairs() {
-            let pairs = pairs
-                .iter()
-                .map(|clips| clips.each_ref().map(|id| part.id(id)));
-            all.entry(project).or_default().extend(pairs);
-        }
+        let manifest = part.dataset.manifest();
+        let renamed = manifest
+            .rejected_pairs()
+            .into_iter()
+            .map(|(project, pairs)| {
+                let pairs = pairs
+                    .iter()
+                    .map(|clips| clips.each_ref().map(|id| part.id(id)));
+                (project, pairs.collect())
+            });
+        add_rejected(&mut all_pairs, renamed);
+        let renamed = manifest
+            .rejected_masks()
+            .into_iter()
+            .map(|(project, masks)| {
+                let masks = masks.into_iter().map(|(clip, mask)| {
+                    let new = part.id(&clip);
+                    // A stage begins the id of a mask with that of its clip.
+                    let mask = mask.map(|mask| match mask.strip_prefix(clip.as_str()) {
+                        Some(rest) => format!("{new}{rest}"),
+                        None => mask,
+                    });
+                    (new, mask)
+                });
+                (project, masks.collect())
+            });
+        add_rejected(&mut all_masks, renamed);
     }
-    all
+    (all_pairs, all_masks)
 }
 
 /// The labels of both datasets, and those that the result does not take.
@@ -429,27 +455,36 @@ impl MergedLabels {
         });
         let mut text: String = gave_way.collect();
         if !self.rejected.is_empty() {
-            text += &format!("; {} pairs that people rejected left", self.rejected.len());
+            text += &format!(
+                "; {} pairs and masks that people rejected left",
+                self.rejected.len()
+            );
         }
         text
     }
 }
 
-/// The labels of both datasets. Pairs that people rejected in either are not taken, unless a person accepted them, nor
+/// The labels of both datasets. What people rejected in either is not taken, unless a person accepted it, nor
 /// are pairs whose motions are in two splits now. Of clips that both have, the second dataset gives automatic labels
 /// only where the first has none, and labels that only one of them has from people replace automatic ones of the other.
 fn labels(
     parts: &[&Part<'_>; 2],
     splits: &BTreeMap<MotionId, Split>,
-    rejected: &RejectedPairs,
+    rejected_pairs: &RejectedPairs,
+    rejected_masks: &RejectedMasks,
 ) -> Result<MergedLabels, Error> {
     let mut labels = MergedLabels::default();
-    let rejected: BTreeSet<&[MotionId; 2]> = rejected.values().flatten().collect();
+    let rejected: BTreeSet<&[MotionId; 2]> = rejected_pairs.values().flatten().collect();
+    let unmasked: BTreeSet<RejectedMask> = rejected_masks.values().flatten().cloned().collect();
     let mut masks: [Vec<MaskRow>; 2] = Default::default();
     let mut pairs: [Vec<PairRow>; 2] = Default::default();
     for (number, part) in parts.iter().enumerate() {
         for mut mask in part.dataset.read::<MaskRow>(None)? {
             mask.motion_id = part.id(&mask.motion_id);
+            if !is_mask_of_people(&mask) && mask.is_among(&unmasked) {
+                labels.rejected.insert(mask.id);
+                continue;
+            }
             mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
             masks[number].push(mask);
         }

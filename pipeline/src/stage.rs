@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
 use datasets_spec::dataset::{Commit, Transaction, commit_table, table_facts};
-use datasets_spec::manifest::plan_hash;
+use datasets_spec::manifest::{REJECTED_MASKS_FACT, RejectedMask, plan_hash};
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Skeleton, Split};
@@ -22,6 +22,7 @@ use crate::annotation::pairs::{
     self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, new_pairs, style_pairs,
 };
 use crate::catalogue::other_than_motions;
+use crate::facts::json;
 use crate::ingest::{IngestOptions, SplitBy};
 
 /// Number of clips whose frames are in memory while masks are made.
@@ -118,8 +119,8 @@ pub enum Judged {
     Add,
 }
 
-/// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source
-/// came with masks get no automatic ones. With a condition, the masks of other clips stay as they are.
+/// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source came with masks get
+/// no automatic ones, and what people rejected is not made again, except by [`Judged::Replace`]. With a condition, the masks of other clips stay as they are.
 ///
 /// # Errors
 /// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
@@ -159,6 +160,12 @@ pub fn masks(
         }
         Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }
+    let mut lists = dataset.manifest().rejected_masks();
+    if judged == Judged::Replace {
+        let stays = |(clip, _): &RejectedMask| !chosen.has_clip(clip);
+        lists.values_mut().for_each(|list| list.retain(stays));
+        lists.retain(|_, list| !list.is_empty());
+    }
     // The plan does not tell which masks were kept, nor which clips a condition chose.
     if is_same_plan && condition.is_none() && judged != Judged::Replace {
         return Ok(dataset);
@@ -181,32 +188,40 @@ pub fn masks(
         })
         .cloned()
         .collect();
+    let rejected: BTreeSet<RejectedMask> = lists.values().flatten().cloned().collect();
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     rows.extend(
         automatic
             .into_iter()
             .filter(|mask| chosen.has_clip(&mask.motion_id))
-            .filter(|mask| !masked.contains(&mask.motion_id)),
+            .filter(|mask| !masked.contains(&mask.motion_id))
+            .filter(|mask| !mask.is_among(&rejected)),
     );
     context
         .progress
         .finish(&format!("{} masks on {num_clips} clips", rows.len()));
-    if is_same_plan && are_same_rows([&rows, &present], |row| row.id.as_str()) {
+    let mut facts = BTreeMap::new();
+    if lists != dataset.manifest().rejected_masks() {
+        facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&lists));
+    }
+    let is_same = are_same_rows([&rows, &present], |row| row.id.as_str());
+    if is_same_plan && is_same && facts.is_empty() {
         return Ok(dataset);
     }
-    commit_changed(&dataset, &rows, |row| row.split, &plan, context)
+    commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)
 }
 
-/// Commits the rows of a table, even if the table was made by the same plan.
+/// Commits the rows of a table and facts, even if the table was made by the same plan.
 fn commit_changed<R: Row>(
     dataset: &Dataset,
     rows: &[R],
     split_of: fn(&R) -> Split,
     plan: &str,
+    facts: BTreeMap<String, String>,
     context: &Context<'_>,
 ) -> Result<Dataset, Error> {
     let (root, skeleton) = (dataset.root(), &dataset.skeleton()?);
-    if dataset.manifest().plan(R::TABLE) != plan {
+    if dataset.manifest().plan(R::TABLE) != plan && facts.is_empty() {
         return Ok(context.commit(root, rows, Some(split_of), skeleton, plan)?);
     }
     let transaction = Transaction::begin(root, context.holder)?;
@@ -215,6 +230,7 @@ fn commit_changed<R: Row>(
         tables: BTreeMap::from([(R::TABLE.to_owned(), files)]),
         plan_hash: plan.to_owned(),
         skeleton: skeleton.clone(),
+        facts,
         ..Commit::default()
     })?;
     Ok(dataset)
@@ -294,7 +310,8 @@ pub fn pairs(
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
         return Ok((dataset, made.alone));
     }
-    let dataset = commit_changed(&dataset, &rows, |row| row.split, &plan, context)?;
+    let facts = BTreeMap::new();
+    let dataset = commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)?;
     Ok((dataset, made.alone))
 }
 

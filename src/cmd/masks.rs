@@ -1,10 +1,11 @@
 //! `stance masks`
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use datasets_spec::dataset::commit_rows;
+use datasets_spec::dataset::{Commit, Transaction};
+use datasets_spec::manifest::{REJECTED_MASKS_FACT, add_rejected};
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
@@ -46,10 +47,10 @@ pub(crate) struct Args {
         conflicts_with_all = ["drafts", "replace", "add", "condition"]
     )]
     author: Option<String>,
-    /// Derive the masks again even if people have reviewed some
+    /// Derive the masks again even if people have reviewed or rejected some
     #[arg(long)]
     replace: bool,
-    /// Keep all masks and derive those of clips without any
+    /// Keep all masks and derive those of clips without any; what people rejected is not derived again
     #[arg(long, conflicts_with_all = ["drafts", "accept", "replace"])]
     add: bool,
     #[command(flatten)]
@@ -121,11 +122,35 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
             taken.open_edits
         ));
     }
+    let mut lists = dataset.manifest().rejected_masks();
+    add_rejected(&mut lists, [(author.to_owned(), taken.rejected)]);
+    let ids: BTreeSet<&str> = taken.masks.iter().map(|mask| mask.id.as_str()).collect();
+    for list in lists.values_mut() {
+        list.retain(|(_, mask)| !mask.as_ref().is_some_and(|id| ids.contains(id.as_str())));
+    }
+    lists.retain(|_, list| !list.is_empty());
+    let mut facts = BTreeMap::new();
+    if lists != dataset.manifest().rejected_masks() {
+        facts.insert(
+            REJECTED_MASKS_FACT.to_owned(),
+            serde_json::to_string(&lists)?,
+        );
+    }
     let plan = blake3::hash(format!("{author}\n{lines}").as_bytes()).to_hex();
-    let split_of = |row: &MaskRow| row.split;
-    let (root, rows) = (&args.dataset, &taken.masks);
-    let (skeleton, holder) = (dataset.skeleton()?, global.holder());
-    let made = commit_rows(root, rows, Some(split_of), &skeleton, &plan, &holder)?;
+    if dataset.manifest().plan(MaskRow::TABLE) == plan.as_str() && facts.is_empty() {
+        return Ok(dataset);
+    }
+    let skeleton = dataset.skeleton()?;
+    let transaction = Transaction::begin(&args.dataset, &global.holder())?;
+    let split_of: fn(&MaskRow) -> Split = |row| row.split;
+    let files = transaction.write_rows(&taken.masks, Some(split_of), &skeleton, &plan)?;
+    let made = transaction.commit(Commit {
+        tables: BTreeMap::from([(MaskRow::TABLE.to_owned(), files)]),
+        plan_hash: plan.to_string(),
+        skeleton,
+        facts,
+        ..Commit::default()
+    })?;
     Ok(made)
 }
 
@@ -143,8 +168,16 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
             text += &format!("  {title} {label:<20} {count:>6}\n");
         }
     }
+    let lists = dataset.manifest().rejected_masks();
+    let rejected: usize = lists.values().map(BTreeSet::len).sum();
+    if rejected > 0 {
+        text += &format!(
+            "{rejected} masks or clips are rejected by people and get no automatic masks\n"
+        );
+    }
     let document = serde_json::json!({
         "masks": masks,
+        "rejected": rejected,
         "origins": origins,
         "parts": parts,
         "root_hash": dataset.manifest().root_hash,

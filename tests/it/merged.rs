@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use annotate::store::open_sqlite;
-use annotate::wire::{Role, TaskKind};
+use annotate::wire::{Role, TaskKind, TaskState};
 use datasets_spec::manifest::RejectedPairs;
 use datasets_spec::record::{MaskRow, PairRow, SkippedRow};
 use datasets_spec::{Dataset, MotionId};
@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use crate::annotate::{accept, from_json, settings};
 use crate::grown::{clips, files, ingest, judge, masks, verified};
 use crate::pairs::motionfix_motion;
-use crate::util::{arg, len_of, put, rows_of, stance, text_of, typed};
+use crate::util::{arg, assert_has, len_of, put, rows_of, stance, text_of, typed};
 
 /// A folder of clips of the built-in corpus, and a dataset of it with automatic masks and pairs.
 fn labelled(dir: &Path, name: &str, seed: &str) -> PathBuf {
@@ -103,7 +103,10 @@ fn what_people_judged_stands_alone_after_a_merge_with_a_copy() {
         assert_eq!(len_of(&done["rejected"]), 1, "{done}");
         let counted = format!("{gave_way} automatic masks gave way to those of the other dataset");
         assert!(said.contains(&counted), "{said}");
-        assert!(said.contains("1 pairs that people rejected left"), "{said}");
+        assert!(
+            said.contains("1 pairs and masks that people rejected left"),
+            "{said}"
+        );
         // No stage makes the rejected pair again.
         stance(&["pairs", arg(&out)]).expect_code(0);
         assert_eq!(pairs(&out), paired, "{name}");
@@ -176,6 +179,123 @@ fn rejected_pairs_stay_rejected_when_a_dataset_goes_back() {
     assert_eq!(again["is_current"], true);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
     assert_eq!(pairs(&dataset), paired);
+}
+
+#[test]
+fn masks_that_people_rejected_stay_out_until_they_are_replaced() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let [dataset, copy] = ["dataset", "copy"].map(|name| labelled(dir.path(), name, "0"));
+    let automatic = masks(&dataset);
+    let clip_of = |mask: &MaskRow| mask.motion_id.clone();
+    let bare = clip_of(automatic.values().next().expect("a mask"));
+    let of_bare = |mask: &MaskRow| mask.motion_id == bare;
+    // A reviewer rejects all masks of one clip, and one of several masks of another.
+    let mut parts: BTreeMap<MotionId, Vec<String>> = BTreeMap::new();
+    for mask in automatic.values().filter(|mask| !of_bare(mask)) {
+        parts
+            .entry(clip_of(mask))
+            .or_default()
+            .push(mask.id.clone());
+    }
+    let (_, several) = parts.iter().find(|(_, ids)| ids.len() > 1).expect("one");
+    let rejected: Vec<String> = automatic
+        .values()
+        .filter(|mask| of_bare(mask) || mask.id == several[0])
+        .map(|mask| mask.id.clone())
+        .collect();
+    let file = dir.path().join("drafts.jsonl");
+    stance(&["masks", arg(&dataset), "--drafts", arg(&file)]).expect_code(0);
+    let is_rejected = |line: &str| {
+        rejected
+            .iter()
+            .any(|id| line.contains(&format!("\"{id}\"")))
+    };
+    let lines: Vec<String> = text_of(&file)
+        .lines()
+        .map(|line| match is_rejected(line) {
+            true => line.replace("\"todo\"", "\"reject\""),
+            false => line.to_owned(),
+        })
+        .collect();
+    put(&file, lines.join("\n"));
+    let accept = [
+        "--json",
+        "masks",
+        arg(&dataset),
+        "--accept",
+        arg(&file),
+        "--author",
+        "ann",
+    ];
+    let done: Value = stance(&accept).done();
+    assert_eq!(done["rejected"], rejected.len());
+    let kept = masks(&dataset);
+    assert_eq!(kept.len(), automatic.len() - rejected.len());
+    for again in [&["--add"][..], &[], &["--where", "NOT has_mask"]] {
+        stance(&[&["masks", arg(&dataset)], again].concat()).expect_code(0);
+        assert_eq!(masks(&dataset), kept, "{again:?}");
+    }
+
+    // They stay out of a dataset that grows, of one that is merged with a copy that has them, and of an older version.
+    let source = dir.path().join("dataset-source");
+    let sidecar = files(&source)
+        .into_iter()
+        .map(|file| file.with_extension("stance.json"))
+        .find(|file| file.exists())
+        .expect("a sidecar");
+    put(&sidecar, text_of(&sidecar).replace("person", "human"));
+    ingest(&[&source], &dataset, &[], 0);
+    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    assert_eq!(masks(&dataset).len(), kept.len());
+    let out = dir.path().join("merged");
+    let (done, said) = merged(&copy, &dataset, &out);
+    assert_eq!(done["rejected"], json!(rejected));
+    assert_has(&said, &["masks that people rejected left"]);
+    stance(&["masks", arg(&out), "--add"]).expect_code(0);
+    assert_eq!(masks(&out).len(), kept.len());
+    typed("--json dataset restore {} --to 3", &[&dataset]).expect_code(0);
+    assert_eq!(masks(&dataset).len(), kept.len());
+
+    stance(&["masks", arg(&dataset), "--replace"]).expect_code(0);
+    assert_eq!(masks(&dataset).len(), automatic.len());
+}
+
+#[test]
+fn a_clip_that_an_answer_leaves_without_masks_gets_none_until_the_answer_is_taken_back() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dataset = labelled(dir.path(), "dataset", "0");
+    let automatic = masks(&dataset);
+    stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
+    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
+    store.put_settings(1, settings(), 0).expect("settings");
+    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
+    let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+    let answer = json!({ "kind": "mask_text", "masks": [], "count_reason": "other", "note": "nothing moves" });
+    accept(
+        store.as_ref(),
+        people,
+        TaskKind::MaskText,
+        from_json(answer),
+    );
+    drop(store);
+    stance(&["annotate", arg(&dataset), "export"]).expect_code(0);
+    let kept = masks(&dataset);
+    assert!(kept.len() < automatic.len());
+    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    assert_eq!(masks(&dataset), kept);
+
+    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
+    let tasks = (1..400).filter_map(|id| store.task_record(id).ok());
+    let mut accepted = tasks.filter(|task| task.state == TaskState::Accepted);
+    let task = accepted.next().expect("an accepted task").id;
+    let reopen = json!({ "idem_key": "reopen-it", "task": task, "lease_epoch": 0, "decision": "reopen",
+        "comment": "look again" });
+    let reopened = store.review(people.1, from_json(reopen), 0);
+    reopened.expect("reopens");
+    drop(store);
+    stance(&["annotate", arg(&dataset), "export"]).expect_code(0);
+    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    assert_eq!(masks(&dataset), automatic);
 }
 
 #[test]

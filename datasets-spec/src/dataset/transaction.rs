@@ -11,7 +11,8 @@ use super::layout::{
 };
 use super::open::Dataset;
 use crate::manifest::{
-    ANNOTATE_FACTS, Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT,
+    ANNOTATE_FACTS, Accounting, FORMAT, FileEntry, Manifest, REJECTED_MASKS_FACT,
+    REJECTED_PAIRS_FACT, add_rejected,
 };
 use crate::store::{ByPath, Lock, Locking, Store, write_bytes, write_new};
 use crate::table::SCHEMA_VERSION;
@@ -154,8 +155,10 @@ impl Transaction {
             manifest
                 .plans
                 .retain(|table, _| commit.carried.contains(table));
-            let is_of_people =
-                |name: &str| name == REJECTED_PAIRS_FACT || name.starts_with(ANNOTATE_FACTS);
+            let is_of_people = |name: &str| {
+                [REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT].contains(&name)
+                    || name.starts_with(ANNOTATE_FACTS)
+            };
             manifest.facts.retain(|name, _| is_of_people(name));
         }
         manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
@@ -186,16 +189,21 @@ impl Transaction {
         self.publish(manifest, &commit.plan_hash)
     }
 
-    /// Facts of an older version once it is restored: what people rejected since stays in [`REJECTED_PAIRS_FACT`].
+    /// Facts of an older version once it is restored: what people rejected since stays rejected.
     pub fn restored_facts(&self, of: &Manifest) -> BTreeMap<String, String> {
-        let mut rejected = of.rejected_pairs();
-        for (project, pairs) in self.base.iter().flat_map(Manifest::rejected_pairs) {
-            rejected.entry(project).or_default().extend(pairs);
+        let (mut pairs, mut masks) = (of.rejected_pairs(), of.rejected_masks());
+        if let Some(base) = &self.base {
+            add_rejected(&mut pairs, base.rejected_pairs());
+            add_rejected(&mut masks, base.rejected_masks());
         }
         let mut facts = of.facts.clone();
-        if rejected != of.rejected_pairs() {
-            let rejected = serde_json::to_string(&rejected).expect("texts serialise");
-            facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
+        if pairs != of.rejected_pairs() {
+            let pairs = serde_json::to_string(&pairs).expect("texts serialise");
+            facts.insert(REJECTED_PAIRS_FACT.to_owned(), pairs);
+        }
+        if masks != of.rejected_masks() {
+            let masks = serde_json::to_string(&masks).expect("texts serialise");
+            facts.insert(REJECTED_MASKS_FACT.to_owned(), masks);
         }
         facts
     }

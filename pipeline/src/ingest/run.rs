@@ -6,7 +6,7 @@ use std::path::Path;
 use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName, Staging};
 use datasets_spec::license::{self, LICENSES_FACT};
-use datasets_spec::manifest::{Accounting, FileEntry, Manifest, SPLIT_BY_FACT};
+use datasets_spec::manifest::{Accounting, FileEntry, Manifest, RejectedMask, SPLIT_BY_FACT};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
@@ -31,7 +31,7 @@ use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::clip_table::{ClipRow, is_composed};
 use crate::facts::json;
-use crate::versions::check_lost;
+use crate::versions::{check_lost, is_mask_of_people};
 use work::{self, Failed, Made, Piece};
 
 struct Run<'a> {
@@ -194,7 +194,7 @@ impl Run<'_> {
         let mut growth = self.fates.report(plan, &tally.ingested);
         growth.count(&labels);
         let alike = tally.alike.report(&tally.splits(plan));
-        let masks = tally.masks(labels.masks);
+        let masks = self.masks(labels.masks, &tally);
         let pairs = self.pairs(labels.pairs, &tally);
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
@@ -399,6 +399,16 @@ impl Run<'_> {
             files.push(self.transaction.write_shard(&name, &rows, &self.facts)?);
         }
         Ok(())
+    }
+
+    /// The masks that stay and those that came with clips of this run, without those that people rejected.
+    fn masks(&self, staying: Vec<MaskRow>, tally: &Tally) -> Vec<MaskRow> {
+        let rejected = self.transaction.base().map(Manifest::rejected_masks);
+        let rejected = rejected.into_iter().flat_map(BTreeMap::into_values);
+        let rejected: BTreeSet<RejectedMask> = rejected.flatten().collect();
+        let mut masks = tally.masks(staying);
+        masks.retain(|mask| is_mask_of_people(mask) || !mask.is_among(&rejected));
+        masks
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::manifest::{Manifest, plan_hash};
+use datasets_spec::manifest::{Manifest, RejectedMask, plan_hash};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
@@ -32,7 +32,7 @@ pub struct Restored {
     /// Newer labels by people that are lost, because the restored version does not have their clips, or has other
     /// motions. The previous version keeps them.
     pub lost: Vec<LostLabel>,
-    /// Ids of pairs of the restored version that people have rejected since; the result does not contain them.
+    /// Ids of pairs and masks of the restored version that people have rejected since; the result does not contain them.
     pub rejected: Vec<String>,
     /// Tables of the previous version that the result does not contain.
     pub left_tables: Vec<String>,
@@ -94,7 +94,12 @@ pub fn restore(
         !is_pair_judged(pair) && rejected.contains(&clips)
     };
     let rejected = labels.pairs.extract_if(.., |_, pair| is_rejected(pair));
-    let rejected = rejected.map(|(id, _)| id).collect();
+    let mut rejected: Vec<String> = rejected.map(|(id, _)| id).collect();
+    let masks = now.manifest().rejected_masks().into_values().flatten();
+    let masks: BTreeSet<RejectedMask> = masks.collect();
+    let is_rejected = |mask: &MaskRow| !is_mask_of_people(mask) && mask.is_among(&masks);
+    let masks = labels.masks.extract_if(.., |_, mask| is_rejected(mask));
+    rejected.extend(masks.map(|(id, _)| id));
     let left = now.manifest().tables.keys();
     let left = left.filter(|table| !old.manifest().tables.contains_key(*table));
     let left_tables = left

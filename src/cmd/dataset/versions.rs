@@ -107,7 +107,7 @@ fn restored(done: &Restored) -> String {
     text += &lost_labels(&done.lost);
     if !done.rejected.is_empty() {
         let count = done.rejected.len();
-        text += &format!("{count} pairs that people rejected since are left out\n");
+        text += &format!("{count} pairs and masks that people rejected since are left out\n");
         text += &listing(&done.rejected);
     }
     if !done.left_tables.is_empty() {

@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
-use datasets_spec::manifest::{REJECTED_PAIRS_FACT, RejectedPairs};
+use datasets_spec::manifest::{
+    REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedMasks, RejectedPairs,
+};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
@@ -47,6 +49,7 @@ impl Exporter<'_> {
         masks.retain(|row| !described.contains_key(row.motion_id.as_str()));
         let mut pairs = self.unjudged(&dataset, &judged)?;
         let rejected = self.rejected(&dataset, &judged);
+        let unmasked = self.unmasked(&dataset, &described);
         self.take_back(&dataset, &mut masks, &mut pairs)?;
         self.done.count("motions_described", described.len());
         masks.extend(described.into_values().flat_map(|(_, rows)| rows));
@@ -62,7 +65,8 @@ impl Exporter<'_> {
         let plan = plan.to_hex().to_string();
         let manifest = dataset.manifest();
         let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
-        let is_recorded = rejected == manifest.rejected_pairs();
+        let is_recorded =
+            rejected == manifest.rejected_pairs() && unmasked == manifest.rejected_masks();
         if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) && is_recorded {
             return Ok(());
         }
@@ -82,6 +86,8 @@ impl Exporter<'_> {
         if !is_recorded {
             let rejected = serde_json::to_string(&rejected).expect("texts serialise");
             facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
+            let unmasked = serde_json::to_string(&unmasked).expect("texts serialise");
+            facts.insert(REJECTED_MASKS_FACT.to_owned(), unmasked);
         }
         let splits = self.written_splits(&manifest.facts);
         if !splits.is_empty() || manifest.facts.contains_key(SPLITS_FACT) {
@@ -161,13 +167,7 @@ impl Exporter<'_> {
     fn rejected(&self, dataset: &Dataset, judged: &Judged) -> RejectedPairs {
         let mut all = dataset.manifest().rejected_pairs();
         let own = all.entry(self.done.store.clone()).or_default();
-        own.retain(|[source, _]| {
-            let clip = self
-                .clips
-                .as_ref()
-                .and_then(|clips| clips.get(source.as_str()));
-            clip.is_some_and(|(split, _)| !self.wanted(split.as_str()))
-        });
+        own.retain(|[source, _]| self.is_unwanted(source));
         for (id, (_, judgement)) in judged {
             // Two takes that people find too different for a candidate can still be a style pair.
             if let Judgement::Rejected(clips) = judgement
@@ -186,6 +186,25 @@ impl Exporter<'_> {
         }
         all.retain(|_, list| !list.is_empty());
         all
+    }
+
+    /// The rejected masks of all stores and reviewers after this export. The list of this store becomes that of the clips
+    /// that its accepted answers leave without masks; in splits that are not exported it stays.
+    fn unmasked(&self, dataset: &Dataset, described: &Described) -> RejectedMasks {
+        let mut all = dataset.manifest().rejected_masks();
+        let own = all.entry(self.done.store.clone()).or_default();
+        own.retain(|(clip, _)| self.is_unwanted(clip));
+        let bare = described.iter().filter(|(_, (_, rows))| rows.is_empty());
+        own.extend(bare.filter_map(|(clip, _)| Some((MotionId::parse(clip).ok()?, None))));
+        all.retain(|_, list| !list.is_empty());
+        all
+    }
+
+    /// Whether a clip of the dataset is in a split that is not exported.
+    fn is_unwanted(&self, clip: &MotionId) -> bool {
+        let clips = self.clips.as_ref();
+        let clip = clips.and_then(|clips| clips.get(clip.as_str()));
+        clip.is_some_and(|(split, _)| !self.wanted(split.as_str()))
     }
 
     /// Removes the labels that this store wrote and whose acceptance was taken back. A label that another store may have
