@@ -687,7 +687,7 @@ fn unpacking_shows_how_far_it_is() {
 }
 
 #[test]
-fn the_frame_rate_of_a_webdataset_is_not_guessed() {
+fn the_frame_rate_and_the_skeleton_of_a_webdataset_are_not_guessed() {
     let place = Place::new(corpus(12));
     place.ingest("corpus", "dataset", 0);
     let (dataset, out) = (place.path("dataset"), place.path("shards"));
@@ -697,19 +697,25 @@ fn the_frame_rate_of_a_webdataset_is_not_guessed() {
         let unpacked = place.path("unpacked");
         tar::Archive::new(packed).unpack(unpacked).expect("a tar");
     }
-    let changed = files_with_extension(&place.path("unpacked"), "json").remove(0);
-    let mut facts: Value =
-        serde_json::from_slice(&fs::read(&changed).expect("read")).expect("JSON");
-    facts
-        .as_object_mut()
-        .expect("an object")
-        .remove("fps")
-        .expect("a rate");
-    fs::write(&changed, facts.to_string()).expect("written");
+    let files = files_with_extension(&place.path("unpacked"), "json");
+    let names = [("fps", &files[0]), ("skeleton", &files[1])].map(|(key, changed)| {
+        let mut facts: Value =
+            serde_json::from_slice(&fs::read(changed).expect("read")).expect("JSON");
+        let members = facts.as_object_mut().expect("an object");
+        members.remove(key).expect("it is stated");
+        fs::write(changed, facts.to_string()).expect("written");
+        arg(changed.file_name().expect("a name").as_ref()).to_owned()
+    });
     place.ingest("unpacked", "again", 3);
-    let name = arg(changed.file_name().expect("a name").as_ref()).to_owned();
-    let quarantine = assert_quarantined(&place.path("again"), &[(&name, "E-WEBDATASET-MEMBER")]);
-    assert_has(&quarantine[&name].reason, &["no frame rate", "`fps`"]);
+    let refused = names
+        .each_ref()
+        .map(|name| (name.as_str(), "E-WEBDATASET-MEMBER"));
+    let quarantine = assert_quarantined(&place.path("again"), &refused);
+    assert_has(&quarantine[&names[0]].reason, &["no frame rate", "`fps`"]);
+    assert_has(
+        &quarantine[&names[1]].reason,
+        &["no skeleton", "`skeleton`"],
+    );
     let clips = place.clips("dataset", "").len();
-    assert_eq!(place.clips("again", "").len(), clips - 1);
+    assert_eq!(place.clips("again", "").len(), clips - 2);
 }

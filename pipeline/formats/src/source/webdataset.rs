@@ -140,9 +140,13 @@ impl Release for Shards {
         let members = self.clips.get(&entry.file);
         let members = members.ok_or_else(|| refused("there is no such clip".to_owned()))?;
         let facts = facts(files, members)?;
-        if let Some(found) = &facts.skeleton {
-            check_skeleton(found, options)?;
-        }
+        let skeleton = facts.skeleton.as_ref().ok_or_else(|| {
+            refused(format!(
+                "its {FACTS} names no skeleton; add the key `skeleton`, such as {:?}",
+                options.skeleton.name()
+            ))
+        })?;
+        check_skeleton(skeleton, options)?;
         let [transl, global_orient, body_pose] = ARRAYS;
         let transl = rows(files, members, transl)?;
         let global_orient = rows(files, members, global_orient)?;
