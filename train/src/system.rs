@@ -14,7 +14,7 @@ use datasets_spec::store::{ByPath, Store, if_exists};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, JointSet, Motion, Seed};
 use serde::{Deserialize, Serialize};
-use work::commit_edits;
+use work::{check_room, commit_edits};
 
 use crate::checkpoint::Slot;
 use crate::config::{ensure, finite, not_negative};
@@ -97,6 +97,11 @@ pub struct SystemIdentity {
 }
 
 impl SystemIdentity {
+    /// Name and weights, by which a folder of edits knows its system.
+    pub(crate) fn made_by(&self) -> [&str; 2] {
+        [&self.name, &self.checkpoint_hash]
+    }
+
     /// Hash of the settings: BLAKE3, hexadecimal; empty if they are not known.
     pub fn settings_hash(&self) -> String {
         if self.settings.is_empty() {
@@ -671,14 +676,15 @@ pub fn answer_items(
     let rows = items.items()?;
     let remarks = remarks_of(system, &rows)?;
     let plan = edits_plan(&rows, system.identity(), seed, takes);
-    if let Ok(done) = Dataset::open_unverified(out)
-        && done.manifest().plan(EditRow::TABLE) == plan
-    {
-        return Ok(Answers {
-            dataset: Dataset::open(out)?,
-            times: None,
-            remarks,
-        });
+    if let Ok(held) = Dataset::open_unverified(out) {
+        if held.manifest().plan(EditRow::TABLE) == plan {
+            return Ok(Answers {
+                dataset: Dataset::open(out)?,
+                times: None,
+                remarks,
+            });
+        }
+        check_room(&held, &rows, Some(system.identity().made_by()))?;
     }
     let texts: Vec<String> = rows.iter().map(|item| item.instruction.clone()).collect();
     system.prepare(&texts, session)?;

@@ -70,12 +70,11 @@ pub fn commit_edits_in(
     })?)
 }
 
-/// Prepares a folder for edits of one system. The folder may hold the same items without edits, or edits of this system
-/// (of its name, or its checkpoint), which become an older version. The files that tell of those edits are removed.
+/// Prepares a folder for edits of one system, as [`check_room`] allows. Edits that are there become an older version, and
+/// the files that tell of those edits are removed.
 ///
 /// # Errors
-/// [`Error::Held`] if the folder holds anything else: other items, edits of another system, test items where the edit of
-/// a single motion is written or the reverse, or other tables. Or it cannot be read, or a file cannot be removed.
+/// As [`check_room`], or a file cannot be removed.
 pub fn make_room(
     transaction: &Transaction,
     items: &[ItemRow],
@@ -85,15 +84,41 @@ pub fn make_room(
         return Ok(());
     }
     let held = Dataset::open_unverified(transaction.root())?;
+    let first = edits.first();
+    let made_by = first.map(|edit| [edit.system.as_str(), edit.checkpoint_hash.as_str()]);
+    check_room(&held, items, made_by)?;
+    for name in BESIDE {
+        let path = held.root().join(name);
+        if_exists(held.store().remove_file(&path)).map_err(Error::io("remove", &path))?;
+    }
+    Ok(())
+}
+
+/// Checks that a folder can take edits of these items by one system, given by its name and the hash of its checkpoint;
+/// `None` if there are no edits. The folder may hold the same items without edits, or edits of this system (of its name,
+/// or its checkpoint).
+///
+/// # Errors
+/// [`Error::Held`] if the folder holds anything else: other items, edits of another system, test items where the edit of
+/// a single motion is written or the reverse, or other tables. Or it cannot be read.
+pub fn check_room(
+    held: &Dataset,
+    items: &[ItemRow],
+    made_by: Option<[&str; 2]>,
+) -> Result<(), Error> {
     let is_free = items.iter().any(|item| item.task == FREE);
-    let made = match edits.first() {
+    let made = match made_by {
         Some(_) if is_free => "the edit of a single motion".to_owned(),
-        Some(edit) => format!("edits of {}", edit.system),
+        Some([system, _]) => format!("edits of {system}"),
         None => "edits".to_owned(),
     };
-    let refused = |held: String| {
-        let path = transaction.root().to_owned();
-        Err(Error::Held { path, held, made })
+    let refused = |said: String| {
+        let path = held.root().to_owned();
+        Err(Error::Held {
+            path,
+            held: said,
+            made,
+        })
     };
     let own = [
         ItemRow::TABLE,
@@ -105,8 +130,8 @@ pub fn make_room(
     if let Some(other) = tables.find(|table| !own.contains(&table.as_str())) {
         return refused(format!("tables of a dataset ({other})"));
     }
-    let ids = texts::<ItemRow>(&held, "id")?;
-    let systems = texts::<EditRow>(&held, "system")?;
+    let ids = texts::<ItemRow>(held, "id")?;
+    let systems = texts::<EditRow>(held, "system")?;
     if systems.is_empty() {
         let asked = items.iter().map(|item| item.id.as_str());
         let is_same = ids
@@ -118,26 +143,19 @@ pub fn make_room(
             _ => Ok(()),
         };
     }
-    let checkpoints = texts::<EditRow>(&held, "checkpoint_hash")?;
-    let is_same = |edit: &EditRow| {
-        let checkpoint = &edit.checkpoint_hash;
-        systems.contains(&edit.system) || !checkpoint.is_empty() && checkpoints.contains(checkpoint)
+    let checkpoints = texts::<EditRow>(held, "checkpoint_hash")?;
+    let is_same = |[system, checkpoint]: [&str; 2]| {
+        systems.contains(system) || !checkpoint.is_empty() && checkpoints.contains(checkpoint)
     };
-    if !edits.first().is_none_or(is_same) {
+    if !made_by.is_none_or(is_same) {
         return refused(format!("edits of {}", Vec::from_iter(systems).join(", ")));
     }
-    let was_free = texts::<ItemRow>(&held, "task")?.contains(FREE);
-    if was_free != is_free {
-        return refused(match was_free {
-            true => "the edit of a single motion".to_owned(),
-            false => format!("edits of {} test items", ids.len()),
-        });
+    let was_free = texts::<ItemRow>(held, "task")?.contains(FREE);
+    match (was_free, is_free) {
+        (true, false) => refused("the edit of a single motion".to_owned()),
+        (false, true) => refused(format!("edits of {} test items", ids.len())),
+        (true, true) | (false, false) => Ok(()),
     }
-    for name in BESIDE {
-        let path = held.root().join(name);
-        if_exists(held.store().remove_file(&path)).map_err(Error::io("remove", &path))?;
-    }
-    Ok(())
 }
 
 /// Refuses a folder with edits for items alone: the edits would stay beside items that they do not answer.

@@ -21,7 +21,7 @@ mod worker;
 
 pub use self::commit::{Quarantine, Status, commit, status};
 pub use self::context::Context;
-pub use self::edits::{commit_edits, commit_edits_in, make_room, refuse_items};
+pub use self::edits::{check_room, commit_edits, commit_edits_in, make_room, refuse_items};
 pub use self::error::Error;
 pub use self::folder::{NewFolder, is_occupied};
 pub use self::job::{Job, Jobs, Open, notes};

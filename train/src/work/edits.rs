@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use work::{
     self, CommitOptions, Committed, Failed, Finished, Job, Made, Piece, Plan, Quarantine, absolute,
-    commit_edits_in,
+    check_room, commit_edits_in,
 };
 
 use super::{Surroundings, changed, in_turn, of_commit, write_plan};
@@ -96,6 +96,10 @@ pub fn plan_edits(
         device,
     };
     let editing = Editing::open(&stored, surroundings)?;
+    if let Ok(held) = Dataset::open_unverified(destination) {
+        let system = in_turn(&editing.system);
+        check_room(&held, &editing.rows, Some(system.identity().made_by()))?;
+    }
     let pieces = editing.pieces();
     write_plan(JOB, &stored, destination, pieces, editing.plan_hash, out)
 }
