@@ -1,18 +1,20 @@
-//! Measures the path from BVH text to Parquet rows on one thread; the same run calibrates the machine.
+//! Measures the paths from BVH text and AMASS archives to Parquet rows on one thread; the same run calibrates the machine.
 //!
 //! Stages are counted in source frames a second, the matrix product in floating-point operations and the copy in bytes.
 
 use std::path::Path;
 
+use clip::Outcome;
 use clip::check::check;
+use corpus::CorpusOptions;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Quality, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
-use formats::retarget;
-use formats::source::ReadOptions;
 use formats::source::bvh::BvhFile;
+use formats::source::{ReadOptions, amass};
+use formats::{retarget, write};
 
 /// Frames of the synthetic file: about half a minute.
 const NUM_FRAMES: usize = 1000;
@@ -136,6 +138,39 @@ fn to_parquet(bencher: Bencher) {
                 .collect();
             write_rows(Vec::new(), Path::new("bench.parquet"), &rows, &[]).expect("written")
         });
+}
+
+/// What an ingestion does with archives of AMASS, without a disk. They are those that `stance export --to amass` writes of
+/// the built-in corpus, at 60 fps.
+#[divan::bench]
+fn amass_to_parquet(bencher: Bencher) {
+    let skeleton = Skeleton::smplx_neutral();
+    let fast = |index: usize| {
+        let motion = corpus::clip(index, &CorpusOptions::default()).motion;
+        let rate = Fps::new(60.0).expect("a rate");
+        Resample::Exact.apply(&motion, rate).expect("resamples")
+    };
+    let motions: Vec<Motion> = (0..NUM_FILES).map(fast).collect();
+    let archives: Vec<Vec<u8>> = motions
+        .iter()
+        .map(|motion| write::amass::encode(motion, &skeleton).expect("encodes"))
+        .collect();
+    let frames: usize = motions.iter().map(Motion::len).sum();
+    let options = ReadOptions {
+        rate: Some(Fps::STORE),
+        ..ReadOptions::default()
+    };
+    bencher.counter(ItemsCount::new(frames)).bench_local(|| {
+        let read = |bytes: &Vec<u8>| match amass::read(Path::new("clip.npz"), bytes, &options) {
+            Ok(Outcome::Clip(clip)) => row(&clip.motion),
+            _ => panic!("the archive is good"),
+        };
+        let rows: Vec<MotionRow> = archives
+            .iter()
+            .map(|bytes| read(black_box(bytes)))
+            .collect();
+        write_rows(Vec::new(), Path::new("bench.parquet"), &rows, &[]).expect("written")
+    });
 }
 
 fn row(motion: &Motion) -> MotionRow {
