@@ -564,6 +564,23 @@ fn training_is_the_same_without_the_fused_operations_and_on_burn_ndarray() {
 }
 
 #[test]
+fn a_run_records_its_precision_and_goes_on_in_no_other() {
+    let workshop = Workshop::open();
+    let train = |run: &str, more: &str| {
+        let line = "train motionrefit @dataset --config @small.toml --steps 2";
+        workshop.typed(&format!("{line} --out @{run} {more}"))
+    };
+    train("half", "--precision bf16").expect_code(0);
+    assert_eq!(workshop.record("half")["precision"], "bf16");
+    train("half", "--precision bf16").expect_code(0);
+    train("half", "").expect_refused("precision");
+    train("half", "--extend").expect_refused("precision");
+    train("single", "--precision f32").expect_code(0);
+    assert!(workshop.record("single").get("precision").is_none());
+    train("single", "--precision bf16").expect_refused("precision");
+}
+
+#[test]
 fn devices_are_listed_on_any_command_line_and_measured_and_others_are_refused() {
     for args in [
         &["train", "--device", "list"][..],

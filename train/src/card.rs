@@ -82,6 +82,7 @@ pub fn text(record: &RunRecord<Value>, about: &About<'_>) -> String {
         ),
         ("skeleton", Some(record.skeleton.clone())),
         ("seed", seed),
+        ("matrix products", record.precision.clone()),
         ("made with", Some(versions.join(", "))),
     ];
     text += "| | |\n|---|---|\n";

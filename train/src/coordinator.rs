@@ -214,7 +214,8 @@ pub fn train_coordinator<'a>(
         normalizer: segments.normalizer,
         compose: segments.compose.clone(),
     };
-    let document = RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record);
+    let document =
+        RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record).trained_in(session);
     let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.schedule, config.diffusion_steps)?;

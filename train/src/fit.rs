@@ -272,7 +272,8 @@ pub fn train_motionrefit<'a>(
         extrapolation: extrapolation.clone(),
     };
     record.check()?;
-    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
+        .trained_in(session);
     let run = Run::open(start, &document)?;
     let objective = Objective {
         schedule: &schedule,

@@ -187,7 +187,7 @@ pub fn train_j2s<'a>(
     Error::if_empty(train, "training split of the pose network")?;
     Error::if_empty(val, "validation split of the pose network")?;
     config.check()?;
-    let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone());
+    let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone()).trained_in(session);
     let run = Run::open(start, &document)?;
     let run_dir = run.dir();
     let (network, done) = match config.preset {

@@ -184,7 +184,8 @@ pub fn train_mdm<'a>(
         features: known_features.unwrap_or_else(|| grouped_stats(&train)),
         text,
     };
-    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
+        .trained_in(session);
     let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let sampler = |clips, name| CropSampler {

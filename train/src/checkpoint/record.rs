@@ -10,9 +10,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::Error;
 use crate::config::rename_former;
 use crate::error::json_error;
+use crate::{Error, Session};
 
 /// Version of the run folder's format.
 pub const FORMAT: u32 = 1;
@@ -43,6 +43,9 @@ pub struct RunRecord<C> {
     /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded only the name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skeleton_hash: Option<String>,
+    /// Precision of the factors of matrix products in training, if it is not single precision: `bf16`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub precision: Option<String>,
     /// BLAKE3 of the file that the weights were imported from; none in runs that were trained, or imported by version 0.2
     /// or earlier.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -93,10 +96,17 @@ impl<C> RunRecord<C> {
             dataset_hash: dataset_hash.to_owned(),
             skeleton: skeleton.name().to_owned(),
             skeleton_hash: Some(skeleton.hash()),
+            precision: None,
             imported: None,
             lineage: Vec::new(),
             config,
         }
+    }
+
+    /// The record of a run that is trained in a session.
+    pub(crate) fn trained_in(self, session: &Session<'_>) -> Self {
+        let precision = session.arithmetic.bf16.then(|| "bf16".to_owned());
+        Self { precision, ..self }
     }
 }
 

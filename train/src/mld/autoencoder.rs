@@ -46,7 +46,8 @@ pub(super) fn train(
         train: config.clone(),
         features: grouped_stats(clips),
     };
-    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
+        .trained_in(session);
     let run = Run::open(&folder(run), &document)?;
     let seed = Seed(config.run.seed);
     let sampler = |clips, name| CropSampler {

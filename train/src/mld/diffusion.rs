@@ -93,7 +93,8 @@ pub fn train_mld<'a>(
         autoencoder: autoencoder.hash.clone(),
         latent_std: latent_std(&autoencoder, &sampler(&train, "std"), config, session),
     };
-    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
+        .trained_in(session);
     let run = Run::open(start, &document)?;
     let noising = Noising {
         record: &record,

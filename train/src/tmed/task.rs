@@ -96,7 +96,8 @@ pub fn train_tmed<'a>(
         text,
         compose: corpus.compose.cloned(),
     };
-    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
+        .trained_in(session);
     let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let sampler = ClipSampler {
