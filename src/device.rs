@@ -77,7 +77,7 @@ impl DeviceArgs {
 /// Precision in which a training multiplies matrices.
 #[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
 enum Precision {
-    /// Single precision, or TF32 where the device takes it for that
+    /// Single precision; some GPUs round the factors to TF32
     #[default]
     F32,
     /// bfloat16

@@ -4,8 +4,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::manifest::RejectedMask;
 use datasets_spec::record::MaskRow;
+use datasets_spec::rejected::MaskPlace;
 use datasets_spec::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
@@ -121,8 +121,9 @@ pub struct Taken {
     pub masks: Vec<MaskRow>,
     /// Number of edited lines without a verdict. Their parts and texts are kept as drafts of the author.
     pub open_edits: usize,
-    /// The masks of rejected lines, which are not among `masks`.
-    pub rejected: BTreeSet<RejectedMask>,
+    /// The masks of rejected lines, by their clips, and each clip that is left without masks by rejected lines, without a
+    /// place.
+    pub rejected: BTreeSet<(MotionId, Option<MaskPlace>)>,
 }
 
 /// Origin of a mask text that a person accepted.
@@ -160,7 +161,7 @@ pub fn accept(
                 let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
                 open_edits += usize::from(is_open && before != row.as_ref());
                 if let Some(before) = before.filter(|_| row.is_none()) {
-                    rejected.insert((before.motion_id.clone(), Some(id)));
+                    rejected.insert((before.motion_id.clone(), Some(MaskPlace::of(before))));
                 }
                 rows.extend(row);
                 continue;
@@ -177,6 +178,10 @@ pub fn accept(
     let untouched = masks.iter().filter(|mask| !judged.contains(&mask.id));
     rows.extend(untouched.cloned());
     rows.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
+    let masked: BTreeSet<&MotionId> = rows.iter().map(|row| &row.motion_id).collect();
+    let clips: BTreeSet<MotionId> = rejected.iter().map(|(clip, _)| clip.clone()).collect();
+    let bare = clips.into_iter().filter(|clip| !masked.contains(clip));
+    rejected.extend(bare.map(|clip| (clip, None)));
     Ok(Taken {
         masks: rows,
         open_edits,

@@ -42,6 +42,7 @@ pub mod manifest;
 mod progress;
 pub mod quantile;
 pub mod record;
+pub mod rejected;
 pub mod store;
 pub mod table;
 

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
+use crate::rejected::RejectedMasks;
 use crate::{MotionId, Split};
 
 /// Key of the fact that names the label by which splits were drawn, such as `subject`: clips with the same value of the
@@ -23,12 +24,6 @@ pub const ANNOTATE_FACTS: &str = "annotate_";
 
 /// The type of [`Manifest::rejected_pairs`].
 pub type RejectedPairs = BTreeMap<String, BTreeSet<[MotionId; 2]>>;
-
-/// A clip, and the id of a mask of it; without an id, all masks of the clip.
-pub type RejectedMask = (MotionId, Option<String>);
-
-/// The type of [`Manifest::rejected_masks`].
-pub type RejectedMasks = BTreeMap<String, BTreeSet<RejectedMask>>;
 
 /// Adds the rejections of other lists to those of the same projects.
 pub fn add_rejected<T: Ord>(
@@ -172,7 +167,9 @@ impl Manifest {
         })
     }
 
-    /// The masks that people rejected, by annotation project or by the reviewer of drafts: no stage makes them again.
+    /// The masks that people rejected; [`Dataset::rejections`] finds those that hold.
+    ///
+    /// [`Dataset::rejections`]: crate::Dataset::rejections
     pub fn rejected_masks(&self) -> RejectedMasks {
         let text = self.facts.get(REJECTED_MASKS_FACT);
         text.and_then(|text| serde_json::from_str(text).ok())

@@ -6,7 +6,6 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::manifest::RejectedMask;
 use crate::table::{Caption, PartCaption, Quality, Row, table};
 use crate::{BodyPart, Error, Fps, JointSet, Motion, MotionId, Skeleton, Split};
 use kinematics::motion::BODY_POSE_WIDTH;
@@ -674,15 +673,6 @@ impl MaskRow {
     /// Length in frames of the shortest range that a mask may hold for. It is the span of a training window of every
     /// preset, 16 frames at 10 fps (paper Sec. 5.1), at the stored 20 fps.
     pub const SHORTEST: i32 = 31;
-
-    /// Whether the mask, or all masks of its clip, are in a list of [`Manifest::rejected_masks`].
-    ///
-    /// [`Manifest::rejected_masks`]: crate::manifest::Manifest::rejected_masks
-    pub fn is_among(&self, rejected: &BTreeSet<RejectedMask>) -> bool {
-        [None, Some(self.id.clone())]
-            .into_iter()
-            .any(|mask| rejected.contains(&(self.motion_id.clone(), mask)))
-    }
 
     /// The range of frames that the mask holds for; `None` if it holds for the whole motion.
     ///

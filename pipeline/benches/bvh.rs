@@ -153,7 +153,7 @@ fn amass_to_parquet(bencher: Bencher) {
     let motions: Vec<Motion> = (0..NUM_FILES).map(fast).collect();
     let archives: Vec<Vec<u8>> = motions
         .iter()
-        .map(|motion| write::amass::encode(motion, &skeleton).expect("encodes"))
+        .map(|motion| write::amass::encode_smplx(motion, &skeleton).expect("encodes"))
         .collect();
     let frames: usize = motions.iter().map(Motion::len).sum();
     let options = ReadOptions {

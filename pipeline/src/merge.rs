@@ -6,12 +6,13 @@ use std::path::Path;
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{
-    Accounting, FileEntry, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedMask, RejectedMasks,
-    RejectedPairs, add_rejected, plan_hash,
+    Accounting, FileEntry, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedPairs, add_rejected,
+    plan_hash,
 };
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
+use datasets_spec::rejected::{RejectedMask, RejectedMasks, Rejections};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split, Transaction};
 use serde::Serialize;
@@ -421,14 +422,9 @@ fn rejected(parts: &[&Part<'_>; 2]) -> (RejectedPairs, RejectedMasks) {
             .rejected_masks()
             .into_iter()
             .map(|(project, masks)| {
-                let masks = masks.into_iter().map(|(clip, mask)| {
-                    let new = part.id(&clip);
-                    // A stage begins the id of a mask with that of its clip.
-                    let mask = mask.map(|mask| match mask.strip_prefix(clip.as_str()) {
-                        Some(rest) => format!("{new}{rest}"),
-                        None => mask,
-                    });
-                    (new, mask)
+                let masks = masks.into_iter().map(|rejected| RejectedMask {
+                    clip: part.id(&rejected.clip),
+                    ..rejected
                 });
                 (project, masks.collect())
             });
@@ -475,13 +471,22 @@ fn labels(
 ) -> Result<MergedLabels, Error> {
     let mut labels = MergedLabels::default();
     let rejected: BTreeSet<&[MotionId; 2]> = rejected_pairs.values().flatten().collect();
-    let unmasked: BTreeSet<RejectedMask> = rejected_masks.values().flatten().cloned().collect();
+    let mut contents: BTreeMap<MotionId, String> = BTreeMap::new();
+    for part in parts {
+        let of_part = part.dataset.contents()?;
+        contents.extend(
+            of_part
+                .into_iter()
+                .map(|(id, content)| (part.id(&id), content)),
+        );
+    }
+    let rejections = Rejections::holding(rejected_masks, &contents);
     let mut masks: [Vec<MaskRow>; 2] = Default::default();
     let mut pairs: [Vec<PairRow>; 2] = Default::default();
     for (number, part) in parts.iter().enumerate() {
         for mut mask in part.dataset.read::<MaskRow>(None)? {
             mask.motion_id = part.id(&mask.motion_id);
-            if !is_mask_of_people(&mask) && mask.is_among(&unmasked) {
+            if !is_mask_of_people(&mask) && rejections.has(&mask) {
                 labels.rejected.insert(mask.id);
                 continue;
             }

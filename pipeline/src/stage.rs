@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
 use datasets_spec::dataset::{Commit, Transaction, commit_table, table_facts};
-use datasets_spec::manifest::{REJECTED_MASKS_FACT, RejectedMask, plan_hash};
+use datasets_spec::manifest::{REJECTED_MASKS_FACT, plan_hash};
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Skeleton, Split};
@@ -113,14 +113,15 @@ pub enum Judged {
     Keep,
     /// Fail if there are judged masks.
     Refuse,
-    /// Discard the judged masks.
+    /// Discard the judged masks, and forget which people rejected.
     Replace,
-    /// Keep all masks, and make automatic ones for clips without masks.
+    /// Keep all masks, and make automatic ones for clips without masks, except those that people rejected.
     Add,
 }
 
 /// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source came with masks get
-/// no automatic ones, and what people rejected is not made again, except by [`Judged::Replace`]. With a condition, the masks of other clips stay as they are.
+/// no automatic ones, and what people rejected is not made again, except by [`Judged::Replace`]. With a condition, the
+/// masks of other clips stay as they are.
 ///
 /// # Errors
 /// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
@@ -162,8 +163,9 @@ pub fn masks(
     }
     let mut lists = dataset.manifest().rejected_masks();
     if judged == Judged::Replace {
-        let stays = |(clip, _): &RejectedMask| !chosen.has_clip(clip);
-        lists.values_mut().for_each(|list| list.retain(stays));
+        for list in lists.values_mut() {
+            list.retain(|rejected| !chosen.has_clip(&rejected.clip));
+        }
         lists.retain(|_, list| !list.is_empty());
     }
     // The plan does not tell which masks were kept, nor which clips a condition chose.
@@ -188,14 +190,14 @@ pub fn masks(
         })
         .cloned()
         .collect();
-    let rejected: BTreeSet<RejectedMask> = lists.values().flatten().cloned().collect();
+    let rejections = dataset.rejections(&lists)?;
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     rows.extend(
         automatic
             .into_iter()
             .filter(|mask| chosen.has_clip(&mask.motion_id))
             .filter(|mask| !masked.contains(&mask.motion_id))
-            .filter(|mask| !mask.is_among(&rejected)),
+            .filter(|mask| !rejections.has(mask)),
     );
     context
         .progress

@@ -215,10 +215,14 @@ pub(crate) fn said(done: &Exported) -> Vec<String> {
         named.collect::<Vec<_>>().join(", ")
     };
     let mut lines = Vec::new();
-    if !done.left_out.is_empty() {
+    let mut left_out = done.left_out.clone();
+    if let Some(count) = left_out.remove("tasks_of_clips_without_captions") {
+        lines.push(format!("{count} clips have no caption, and an empty task"));
+    }
+    if !left_out.is_empty() {
         lines.push(format!(
             "left out, because the layout has no place for them: {}",
-            list(&done.left_out)
+            list(&left_out)
         ));
     }
     if !done.beside.is_empty() {

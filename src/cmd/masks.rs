@@ -7,6 +7,7 @@ use anyhow::bail;
 use datasets_spec::dataset::{Commit, Transaction};
 use datasets_spec::manifest::{REJECTED_MASKS_FACT, add_rejected};
 use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::rejected::{MaskPlace, RejectedMask};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::annotation::masks::MaskConfig;
@@ -96,12 +97,14 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
         bail!("--author must name who judged");
     }
     let lines = local::read_text(file)?;
+    // Another program may write the masks; its rejections must not be lost.
+    let transaction = Transaction::begin(&args.dataset, &global.holder())?;
     let dataset = Dataset::open(&args.dataset)?;
-    let motions: BTreeMap<MotionId, (Split, i32)> = dataset
-        .read::<MotionRow>(None)?
-        .into_iter()
-        .map(|row| (row.id, (row.split, row.n_frames)))
-        .collect();
+    let (mut motions, mut contents) = (BTreeMap::new(), BTreeMap::new());
+    for row in dataset.read::<MotionRow>(None)? {
+        contents.insert(row.id.clone(), row.content_hash);
+        motions.insert(row.id, (row.split, row.n_frames));
+    }
     let masks: Vec<MaskRow> = dataset.read(None)?;
     let taken = match annotate::accept(&lines, author, &masks, &motions) {
         Ok(taken) => taken,
@@ -123,10 +126,20 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
         ));
     }
     let mut lists = dataset.manifest().rejected_masks();
-    add_rejected(&mut lists, [(author.to_owned(), taken.rejected)]);
-    let ids: BTreeSet<&str> = taken.masks.iter().map(|mask| mask.id.as_str()).collect();
+    let rejected = taken.rejected.into_iter().map(|(clip, mask)| RejectedMask {
+        content: contents[&clip].clone(),
+        clip,
+        mask,
+    });
+    add_rejected(&mut lists, [(author.to_owned(), rejected.collect())]);
+    // A mask that is there now is not rejected, and neither are all masks of its clip.
+    let mut there: BTreeSet<(&MotionId, Option<MaskPlace>)> = BTreeSet::new();
+    for mask in &taken.masks {
+        there.insert((&mask.motion_id, Some(MaskPlace::of(mask))));
+        there.insert((&mask.motion_id, None));
+    }
     for list in lists.values_mut() {
-        list.retain(|(_, mask)| !mask.as_ref().is_some_and(|id| ids.contains(id.as_str())));
+        list.retain(|one| !there.contains(&(&one.clip, one.mask.clone())));
     }
     lists.retain(|_, list| !list.is_empty());
     let mut facts = BTreeMap::new();
@@ -141,7 +154,6 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
         return Ok(dataset);
     }
     let skeleton = dataset.skeleton()?;
-    let transaction = Transaction::begin(&args.dataset, &global.holder())?;
     let split_of: fn(&MaskRow) -> Split = |row| row.split;
     let files = transaction.write_rows(&taken.masks, Some(split_of), &skeleton, &plan)?;
     let made = transaction.commit(Commit {
@@ -168,16 +180,16 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
             text += &format!("  {title} {label:<20} {count:>6}\n");
         }
     }
-    let lists = dataset.manifest().rejected_masks();
-    let rejected: usize = lists.values().map(BTreeSet::len).sum();
-    if rejected > 0 {
+    let rejections = dataset.rejections(&dataset.manifest().rejected_masks())?;
+    let [single, clips] = rejections.counts();
+    if single + clips > 0 {
         text += &format!(
-            "{rejected} masks or clips are rejected by people and get no automatic masks\n"
+            "people rejected {single} masks, and all masks of {clips} clips; they are not derived again without --replace\n"
         );
     }
     let document = serde_json::json!({
         "masks": masks,
-        "rejected": rejected,
+        "rejected": { "masks": single, "clips": clips },
         "origins": origins,
         "parts": parts,
         "root_hash": dataset.manifest().root_hash,

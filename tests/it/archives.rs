@@ -7,7 +7,7 @@ use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::MotionId;
-use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow};
 use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
@@ -718,4 +718,39 @@ fn the_frame_rate_and_the_skeleton_of_a_webdataset_are_not_guessed() {
     );
     let clips = place.clips("dataset", "").len();
     assert_eq!(place.clips("again", "").len(), clips - 2);
+}
+
+#[test]
+fn a_dataset_whose_manifest_cannot_be_read_is_quarantined_and_loses_no_clip() {
+    let place = Place::new(corpus(12));
+    place.ingest("corpus", "made", 0);
+    place.ingest("made", "dataset", 0);
+    let clips = place.clips("dataset", "");
+    let manifest = place.path("made/meta/manifest-1.json");
+    let whole = fs::read(&manifest).expect("read");
+    let pointer = format!(
+        "version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize {}\n",
+        "0".repeat(64),
+        whole.len()
+    );
+    for (bytes, code) in [
+        (&whole[..whole.len() / 2], "E-DATASET-FILE"),
+        (pointer.as_bytes(), "E-LFS-POINTER"),
+    ] {
+        fs::write(&manifest, bytes).expect("written");
+        place.ingest("made", "dataset", 3);
+        assert_eq!(place.clips("dataset", ""), clips);
+        let rows: Vec<QuarantineRow> = rows_of(&place.path("dataset"));
+        let refused: BTreeSet<&str> = rows.iter().map(|row| row.code.as_str()).collect();
+        assert_eq!(refused, BTreeSet::from([code]));
+        let of_manifest = rows.iter().filter(|row| row.path == "meta/manifest-1.json");
+        assert_eq!(of_manifest.count(), 1);
+    }
+    // A pointer says nothing of the clips.
+    let (made, dataset) = (place.path("made"), place.path("dataset"));
+    typed("ingest {} --out {} --prune", &[&made, &dataset]).expect_code(3);
+    assert_eq!(place.clips("dataset", ""), clips);
+    fs::write(&manifest, &whole).expect("written");
+    place.ingest("made", "dataset", 0);
+    assert_eq!(place.clips("dataset", ""), clips);
 }

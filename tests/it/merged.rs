@@ -228,7 +228,10 @@ fn masks_that_people_rejected_stay_out_until_they_are_replaced() {
         "ann",
     ];
     let done: Value = stance(&accept).done();
-    assert_eq!(done["rejected"], rejected.len());
+    assert_eq!(
+        done["rejected"],
+        json!({ "masks": rejected.len(), "clips": 1 })
+    );
     let kept = masks(&dataset);
     assert_eq!(kept.len(), automatic.len() - rejected.len());
     for again in [&["--add"][..], &[], &["--where", "NOT has_mask"]] {

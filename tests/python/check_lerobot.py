@@ -38,7 +38,7 @@ def state(row: dict) -> numpy.ndarray:
 
 
 def task(row: dict) -> str:
-    return row["captions"][0]["text"] if row["captions"] else "move"
+    return row["captions"][0]["text"] if row["captions"] else ""
 
 
 def check(rows: dict[str, dict]) -> None:

@@ -38,7 +38,11 @@ fn main() {
         Ok(devices) => devices[0].clone(),
         Err(error) => panic!("{error}"),
     };
-    let bf16 = after("--precision").is_some_and(|precision| precision == "bf16");
+    let bf16 = match after("--precision").as_deref() {
+        None | Some("f32") => false,
+        Some("bf16") => true,
+        Some(other) => panic!("--precision {other}: f32 and bf16 are known"),
+    };
     assert!(
         !bf16 || has_bf16(&device),
         "the device does not compute in bfloat16"

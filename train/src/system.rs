@@ -676,7 +676,7 @@ pub fn answer_items(
     let rows = items.items()?;
     let remarks = remarks_of(system, &rows)?;
     let plan = edits_plan(&rows, system.identity(), seed, takes);
-    if let Ok(held) = Dataset::open_unverified(out) {
+    if let Some(held) = Dataset::held_in(out)? {
         if held.manifest().plan(EditRow::TABLE) == plan {
             return Ok(Answers {
                 dataset: Dataset::open(out)?,

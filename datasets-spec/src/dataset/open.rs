@@ -1,14 +1,15 @@
 //! Datasets opened for reading.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::layout::{SKELETON_FACT, manifest_versions, read_manifest, read_newest};
+use super::layout::{SKELETON_FACT, check_free, manifest_versions, read_manifest, read_newest};
 use crate::manifest::{FileEntry, Manifest};
-use crate::record::ItemRow;
+use crate::record::{ItemRow, MotionRow};
+use crate::rejected::{RejectedMasks, Rejections};
 use crate::store::{ByPath, Store, is_url};
 use crate::table::{self, Row};
 use crate::{Error, MotionId, Skeleton, Split};
@@ -130,6 +131,43 @@ impl Dataset {
             }
         })?;
         Ok(self)
+    }
+
+    /// The dataset in a folder, without reading its files; `None` if there is none, and a first commit would replace no file.
+    ///
+    /// # Errors
+    /// The dataset has an incompatible format, or the folder is no dataset and holds files that a commit would replace.
+    pub fn held_in(root: &Path) -> Result<Option<Self>, Error> {
+        let store = ByPath::store();
+        match read_newest(store.as_ref(), root)? {
+            Some(manifest) => Ok(Some(Self::new(root.to_owned(), manifest, store))),
+            None => check_free(store.as_ref(), root).map(|()| None),
+        }
+    }
+
+    /// Hashes of the motions by the ids of their clips.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn contents(&self) -> Result<BTreeMap<MotionId, String>, Error> {
+        let mut contents = BTreeMap::new();
+        for (path, _) in self.files(MotionRow::TABLE, None) {
+            let ids = table::read_column::<MotionRow, MotionId>(&path, "id")?;
+            let hashes = table::read_column::<MotionRow, String>(&path, "content_hash")?;
+            contents.extend(ids.into_iter().zip(hashes));
+        }
+        Ok(contents)
+    }
+
+    /// The rejections of these lists that hold for the motions of the dataset.
+    ///
+    /// # Errors
+    /// As [`Dataset::contents`].
+    pub fn rejections(&self, lists: &RejectedMasks) -> Result<Rejections, Error> {
+        match lists.is_empty() {
+            true => Ok(Rejections::default()),
+            false => Ok(Rejections::holding(lists, &self.contents()?)),
+        }
     }
 
     /// Opens the newest committed version without reading its files.

@@ -32,6 +32,7 @@ use serde_json::json;
 use self::statistics::{STATE_WIDTH, Statistics};
 use super::Exported;
 use super::document::write_json;
+use super::left_out::put;
 use crate::Error;
 use crate::clips::Clips;
 
@@ -40,8 +41,8 @@ const FILE_FRAMES: usize = 100_000;
 /// Rows of a file of the table of episodes: about 50 MB, most of it statistics.
 const FILE_EPISODES: usize = 10_000;
 const CHUNK_FILES: usize = 1000;
-/// Task of a clip without a caption.
-const NO_TASK: &str = "move";
+/// Task of a clip without a caption: nobody said what it does.
+const NO_TASK: &str = "";
 
 pub(super) fn write(
     clips: &Clips,
@@ -67,9 +68,16 @@ pub(super) fn write(
             splits.insert(split.as_str(), format!("{first}:{}", writer.num_episodes));
         }
     }
+    let without_task = writer.without_task;
     writer.finish(&splits)?;
     progress.finish(&format!("{} episodes", clips.len()));
-    Ok(Exported::of(clips.len()))
+    let mut exported = Exported::of(clips.len());
+    put(
+        &mut exported.left_out,
+        "tasks_of_clips_without_captions",
+        without_task,
+    );
+    Ok(exported)
 }
 
 struct Episode {
@@ -90,6 +98,8 @@ struct Writer {
     tasks: Vec<String>,
     task_places: BTreeMap<String, usize>,
     num_episodes: usize,
+    /// Number of clips without a caption.
+    without_task: u64,
     episodes: Vec<Episode>,
     /// Frames to be written to the next file; `places` holds the episode, frame and task of each.
     states: Vec<[f32; STATE_WIDTH]>,
@@ -110,6 +120,7 @@ impl Writer {
         }
         let said = row.stated_captions().next();
         let text = said.map(|caption| caption.text.as_str());
+        self.without_task += u64::from(text.is_none());
         let text = text.unwrap_or(NO_TASK).to_owned();
         let next = self.tasks.len();
         let task = *self.task_places.entry(text.clone()).or_insert(next);
@@ -450,7 +461,10 @@ mod tests {
         let dataset = commit(&dir.path().join("dataset"), &rows, |row| row.split, "plan");
         let out = dir.path().join("out");
         let written = write(&Clips::all(&dataset), &out, &NoProgress);
-        assert_eq!(written.expect("written"), Exported::of(2));
+        let written = written.expect("written");
+        assert_eq!(written.clips, 2);
+        let without_task = [("tasks_of_clips_without_captions".to_owned(), 1)];
+        assert_eq!(written.left_out, without_task.into());
 
         let data = table(&out.join("data/chunk-000/file-000.parquet"));
         assert_eq!(data.num_rows(), 50);

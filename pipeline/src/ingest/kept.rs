@@ -68,7 +68,10 @@ impl Fates<'_> {
 
     /// Whether the clip of a label is read again; otherwise it stays. If the label no longer applies to the clip, the
     /// error is the clip and what happened to it.
-    fn is_read_again<'a>(&self, id: &'a MotionId) -> Result<bool, (&'a MotionId, String)> {
+    pub(super) fn is_read_again<'a>(
+        &self,
+        id: &'a MotionId,
+    ) -> Result<bool, (&'a MotionId, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
                 return Ok(false);

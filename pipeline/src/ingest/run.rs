@@ -6,12 +6,12 @@ use std::path::Path;
 use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName, Staging};
 use datasets_spec::license::{self, LICENSES_FACT};
-use datasets_spec::manifest::{Accounting, FileEntry, Manifest, RejectedMask, SPLIT_BY_FACT};
+use datasets_spec::manifest::{Accounting, FileEntry, Manifest, SPLIT_BY_FACT};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{MotionId, NoProgress, Progress, Split, Transaction};
+use datasets_spec::{Dataset, MotionId, NoProgress, Progress, Split, Transaction};
 
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
@@ -194,7 +194,7 @@ impl Run<'_> {
         let mut growth = self.fates.report(plan, &tally.ingested);
         growth.count(&labels);
         let alike = tally.alike.report(&tally.splits(plan));
-        let masks = self.masks(labels.masks, &tally);
+        let masks = self.masks(labels.masks, &tally)?;
         let pairs = self.pairs(labels.pairs, &tally);
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
@@ -402,13 +402,17 @@ impl Run<'_> {
     }
 
     /// The masks that stay and those that came with clips of this run, without those that people rejected.
-    fn masks(&self, staying: Vec<MaskRow>, tally: &Tally) -> Vec<MaskRow> {
-        let rejected = self.transaction.base().map(Manifest::rejected_masks);
-        let rejected = rejected.into_iter().flat_map(BTreeMap::into_values);
-        let rejected: BTreeSet<RejectedMask> = rejected.flatten().collect();
+    fn masks(&self, staying: Vec<MaskRow>, tally: &Tally) -> Result<Vec<MaskRow>, Error> {
         let mut masks = tally.masks(staying);
-        masks.retain(|mask| is_mask_of_people(mask) || !mask.is_among(&rejected));
-        masks
+        if self.transaction.base().is_some() {
+            let before = Dataset::open_unverified(self.transaction.root())?;
+            let rejections = before.rejections(&before.manifest().rejected_masks())?;
+            masks.retain(|mask| {
+                let is_same_motion = self.fates.is_read_again(&mask.motion_id).is_ok();
+                is_mask_of_people(mask) || !is_same_motion || !rejections.has(mask)
+            });
+        }
+        Ok(masks)
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::manifest::{Manifest, RejectedMask, plan_hash};
+use datasets_spec::manifest::{Manifest, plan_hash};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
@@ -95,9 +95,8 @@ pub fn restore(
     };
     let rejected = labels.pairs.extract_if(.., |_, pair| is_rejected(pair));
     let mut rejected: Vec<String> = rejected.map(|(id, _)| id).collect();
-    let masks = now.manifest().rejected_masks().into_values().flatten();
-    let masks: BTreeSet<RejectedMask> = masks.collect();
-    let is_rejected = |mask: &MaskRow| !is_mask_of_people(mask) && mask.is_among(&masks);
+    let rejections = old.rejections(&now.manifest().rejected_masks())?;
+    let is_rejected = |mask: &MaskRow| !is_mask_of_people(mask) && rejections.has(mask);
     let masks = labels.masks.extract_if(.., |_, mask| is_rejected(mask));
     rejected.extend(masks.map(|(id, _)| id));
     let left = now.manifest().tables.keys();

@@ -96,7 +96,7 @@ pub fn plan_edits(
         device,
     };
     let editing = Editing::open(&stored, surroundings)?;
-    if let Ok(held) = Dataset::open_unverified(destination) {
+    if let Some(held) = Dataset::held_in(destination)? {
         let system = in_turn(&editing.system);
         check_room(&held, &editing.rows, Some(system.identity().made_by()))?;
     }

@@ -3,10 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
-use datasets_spec::manifest::{
-    REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedMasks, RejectedPairs,
-};
+use datasets_spec::manifest::{REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedPairs};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::rejected::{RejectedMask, RejectedMasks};
 use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
 
@@ -24,8 +23,9 @@ const SEQ_FACT: &str = "annotate_seq";
 /// Fact of the manifest with the splits that this store has exported, separated by spaces; missing or empty for all.
 const SPLITS_FACT: &str = "annotate_splits";
 
-/// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance.
-type Described = BTreeMap<String, (i64, Vec<MaskRow>)>;
+/// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance. `None` for an
+/// answer without masks; an answer whose masks do not fit into the table has an empty list.
+type Described = BTreeMap<String, (i64, Option<Vec<MaskRow>>)>;
 /// Judgements of pairs by the id of the pair, each with the sequence number of the acceptance.
 type Judged = BTreeMap<String, (i64, Judgement)>;
 
@@ -52,7 +52,12 @@ impl Exporter<'_> {
         let unmasked = self.unmasked(&dataset, &described);
         self.take_back(&dataset, &mut masks, &mut pairs)?;
         self.done.count("motions_described", described.len());
-        masks.extend(described.into_values().flat_map(|(_, rows)| rows));
+        masks.extend(
+            described
+                .into_values()
+                .filter_map(|(_, rows)| rows)
+                .flatten(),
+        );
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
         pairs.extend(judged.into_values().filter_map(|(_, judged)| match judged {
             Judgement::Kept(row) => Some(row),
@@ -128,7 +133,9 @@ impl Exporter<'_> {
             count_losses(&accepted.answer, &mut exporter.done);
             if accepted.task.kind == TaskKind::MaskText {
                 let motion = exporter.ids(&accepted.task)?.0;
+                let is_bare = accepted.answer.fields().masks.is_empty();
                 let rows = exporter.mask_rows(&motion, &accepted)?;
+                let rows = (!is_bare).then_some(rows);
                 put_later(&mut described, motion, (accepted.seq, rows));
                 return Ok(());
             }
@@ -189,13 +196,20 @@ impl Exporter<'_> {
     }
 
     /// The rejected masks of all stores and reviewers after this export. The list of this store becomes that of the clips
-    /// that its accepted answers leave without masks; in splits that are not exported it stays.
+    /// whose accepted answers have no masks; in splits that are not exported it stays.
     fn unmasked(&self, dataset: &Dataset, described: &Described) -> RejectedMasks {
         let mut all = dataset.manifest().rejected_masks();
         let own = all.entry(self.done.store.clone()).or_default();
-        own.retain(|(clip, _)| self.is_unwanted(clip));
-        let bare = described.iter().filter(|(_, (_, rows))| rows.is_empty());
-        own.extend(bare.filter_map(|(clip, _)| Some((MotionId::parse(clip).ok()?, None))));
+        own.retain(|rejected| self.is_unwanted(&rejected.clip));
+        let bare = described.iter().filter(|(_, (_, rows))| rows.is_none());
+        own.extend(bare.filter_map(|(clip, _)| {
+            let (_, content) = self.clips.as_ref()?.get(clip)?;
+            Some(RejectedMask {
+                clip: MotionId::parse(clip).ok()?,
+                content: content.clone(),
+                mask: None,
+            })
+        }));
         all.retain(|_, list| !list.is_empty());
         all
     }

@@ -16,6 +16,7 @@ use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
 use datasets_spec::{Fps, Split};
 
 use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
+use super::head::refuse_pointer;
 use super::stored_labels::StoredLabels;
 use super::{Files, ReadOptions};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
@@ -92,12 +93,37 @@ impl StoredDataset {
         }
         newest
             .into_iter()
-            .filter_map(|(root, (_, file))| {
-                let manifest: Manifest = serde_json::from_slice(&files.read(file).ok()?).ok()?;
-                (manifest.format == manifest::FORMAT)
-                    .then(|| Self::plan(files, root, file, &manifest))
+            .filter_map(|(root, (_, file))| match manifest_of(files, file) {
+                Ok(None) => None,
+                Ok(Some(manifest)) => Some(Self::plan(files, root, file, &manifest)),
+                Err(rejected) => Some(Self::unread(files, root, file, &rejected)),
             })
             .collect()
+    }
+
+    /// A dataset whose newest manifest cannot be read: its shards are rejected with it.
+    fn unread(files: &Files, root: &str, manifest_file: &str, why: &Rejected) -> Self {
+        let mut release = Self::default();
+        for file in files.under(root) {
+            let name = &file[root.len()..];
+            if file == manifest_file {
+                release.contents.reject(file, why.clone());
+            } else if name.starts_with("data/") && name.ends_with(".parquet") {
+                let reason = format!("{manifest_file}, which lists it: {}", why.reason);
+                release.contents.reject(
+                    file,
+                    Rejected {
+                        reason,
+                        byte_offset: None,
+                        ..why.clone()
+                    },
+                );
+            } else if is_beside(name) {
+                let reason = "description of a dataset whose manifest cannot be read";
+                release.contents.pass_over(file, reason);
+            }
+        }
+        release
     }
 
     fn plan(files: &Files, root: &str, manifest_file: &str, manifest: &Manifest) -> Self {
@@ -130,10 +156,7 @@ impl StoredDataset {
                 continue;
             }
             let name = &file[root.len()..];
-            let of_dataset = ["README.md", "croissant.json"].contains(&name)
-                || name.starts_with("meta/")
-                || name.starts_with("data/");
-            if of_dataset && !release.shards.contains_key(file) {
+            if is_beside(name) && !release.shards.contains_key(file) {
                 let reason = match name {
                     _ if listed.contains(file) => "table of a dataset, read with its motions",
                     _ if name.starts_with("data/") || name.starts_with("meta/aside/") => {
@@ -269,6 +292,30 @@ impl Release for StoredDataset {
 }
 
 /// Folder of a dataset with a final slash, and version of the manifest; `None` if the file is no manifest.
+/// The manifest in a file; `None` if the file is another program's.
+fn manifest_of(files: &Files, file: &str) -> Result<Option<Manifest>, Rejected> {
+    let bytes = files.read(file)?;
+    refuse_pointer(&bytes)?;
+    match serde_json::from_slice::<Manifest>(&bytes) {
+        Ok(manifest) => Ok((manifest.format == manifest::FORMAT).then_some(manifest)),
+        Err(error) => {
+            let format = manifest::FORMAT.as_bytes();
+            let is_own = bytes.windows(format.len()).any(|part| part == format);
+            match is_own || bytes.is_empty() {
+                true => Err(rejected!(CODE, "the manifest is damaged: {error}")),
+                false => Ok(None),
+            }
+        }
+    }
+}
+
+/// Whether a file of a dataset's folder belongs to the dataset, by its name in the folder.
+fn is_beside(name: &str) -> bool {
+    ["README.md", "croissant.json"].contains(&name)
+        || name.starts_with("meta/")
+        || name.starts_with("data/")
+}
+
 fn root_and_version(file: &str) -> Option<(&str, u64)> {
     let at = file.rfind("meta/manifest-")?;
     let root = &file[..at];

@@ -5,6 +5,7 @@ use glam::DQuat;
 
 use crate::source::robot;
 use crate::source::smpl::{Parameters, column, rotations_note};
+use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Outcome, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Array, Value};
@@ -14,11 +15,13 @@ const AIST_FPS: f64 = 60.0;
 /// Numbers per frame of SMPL's pose: 24 joints, the last two of them hands.
 const SMPL_WIDTH: usize = 72;
 
-/// Reads a single pickle as a motion: a dictionary of the STANCE release (`body_pose`, `global_orient`, `transl`;
-/// SMPL-X, y up, 20 fps), or one of AIST++ (`smpl_poses`, `smpl_trans`, `smpl_scaling`; SMPL, y up, 60 fps).
+/// Reads a single pickle as a motion: a dictionary as in the STANCE release (`body_pose`, `global_orient`, `transl`;
+/// SMPL-X, y up, at the rate `fps`), or one of AIST++ (`smpl_poses`, `smpl_trans`, `smpl_scaling`; SMPL, y up, 60 fps).
+/// Without `fps` the rate of the release is taken, 20 fps, and the clip is flagged: other programs use the same keys.
 ///
 /// # Errors
-/// `E-STANCE-KEYS` for other content, `E-SMPL-SHAPE`, `E-TOO-SHORT`, `E-NOT-FINITE`, and those of [`joblib::read`].
+/// `E-STANCE-KEYS` for other content, `E-SMPL-SHAPE`, `E-TOO-SHORT`, `E-NOT-FINITE`, `E-FPS`, and those of
+/// [`joblib::read`].
 pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     motion_of(&joblib::read(bytes)?, skeleton)
 }
@@ -44,11 +47,36 @@ fn motion_of(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected>
             "found a pair (src and tgt) outside a release; put it under a folder named adjustment";
         return Err(Rejected::read("E-STANCE-KEYS", reason));
     }
-    release_clip(value)
+    let rate = |error: &dyn std::fmt::Display| Rejected::read("E-FPS", error.to_string());
+    let Some(stated) = value.get("fps") else {
+        let mut clip = clip_at(value, Fps::STORE)?;
+        clip.flags |= FLAG_FPS_DOUBTFUL;
+        clip.notes.push(
+            "the pickle states no frame rate (`fps`); read at that of the STANCE release, 20 fps"
+                .to_owned(),
+        );
+        return Ok(clip);
+    };
+    let of_array = || stated.as_array()?.to_f64()?.first().copied();
+    let number = stated.as_float().or_else(of_array);
+    let number = number.ok_or_else(|| rate(&format!("found fps as {}", stated.describe())))?;
+    let fps = Fps::from_file(number).map_err(|error| rate(&error))?;
+    let mut clip = clip_at(value, fps)?;
+    clip.notes.push(format!(
+        "SMPL-X parameters at {number} fps, kept as they are"
+    ));
+    Ok(clip)
 }
 
 /// A motion of the release.
 pub(super) fn release_clip(value: &Value) -> Result<SourceClip, Rejected> {
+    let mut clip = clip_at(value, Fps::STORE)?;
+    clip.notes
+        .push("SMPL-X parameters of the STANCE release, kept as they are".to_owned());
+    Ok(clip)
+}
+
+fn clip_at(value: &Value, fps: Fps) -> Result<SourceClip, Rejected> {
     let keys = ["body_pose", "global_orient", "transl"];
     if keys.iter().any(|key| value.get(key).is_none()) {
         return Err(rejected!(
@@ -63,11 +91,8 @@ pub(super) fn release_clip(value: &Value) -> Result<SourceClip, Rejected> {
         column(value, "body_pose")?,
         column(value, "transl")?,
     )?;
-    let motion = parameters.unchanged(Fps::STORE)?;
-    let mut clip = SourceClip::new(motion, RotationSource::Native);
-    clip.notes
-        .push("SMPL-X parameters of the STANCE release, kept as they are".to_owned());
-    Ok(clip)
+    let motion = parameters.unchanged(fps)?;
+    Ok(SourceClip::new(motion, RotationSource::Native))
 }
 
 /// A dance of AIST++. Its annotations scale the body about its origin before placing it in the world, so

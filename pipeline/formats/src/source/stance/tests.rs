@@ -8,7 +8,7 @@ use crate::source::options::ReadOptions;
 use crate::source::release_tests::{
     assert_says, clip_of, codes, entry_of, files_under, only, planned, test_data,
 };
-use clip::check::check;
+use clip::check::{FLAG_FPS_DOUBTFUL, check};
 use pickle::{Value, encode};
 
 use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
@@ -118,7 +118,22 @@ fn a_pickle_that_stands_alone_is_a_motion_if_it_has_the_keys() {
     let skeleton = Skeleton::smplx_neutral();
     let walk = motion(1, 12);
     let read = |value: &Value| read_pickle_motion(&encode(value), &skeleton);
-    assert_eq!(read(&dictionary(&walk)).expect("a motion").motion, walk);
+    // Other programs write the same keys at other rates.
+    let silent = read(&dictionary(&walk)).expect("a motion");
+    assert_eq!(
+        (silent.motion, silent.flags),
+        (walk.clone(), FLAG_FPS_DOUBTFUL)
+    );
+    let at = |fps: Value| {
+        let Value::Dict(mut entries) = dictionary(&walk) else {
+            panic!("a dictionary");
+        };
+        entries.push((Value::text("fps"), fps));
+        read(&Value::Dict(entries))
+    };
+    let stated = at(Value::Int(30)).expect("a motion");
+    assert_eq!((stated.motion.fps().get(), stated.flags), (30.0, 0));
+    assert_eq!(at(Value::Float(-1.0)).expect_err("a rate").code, "E-FPS");
     let array = |shape: &[usize]| {
         let count = shape.iter().product();
         Value::floats(shape, vec![0.0; count])
