@@ -121,8 +121,8 @@ pub struct Taken {
     pub masks: Vec<MaskRow>,
     /// Number of edited lines without a verdict. Their parts and texts are kept as drafts of the author.
     pub open_edits: usize,
-    /// The masks of rejected lines, by their clips, and each clip that is left without masks by rejected lines, without a
-    /// place.
+    /// The masks of rejected lines, each with its clip. A clip that rejected lines leave without masks is listed once more,
+    /// with `None` for all its masks.
     pub rejected: BTreeSet<(MotionId, Option<MaskPlace>)>,
 }
 

@@ -25,7 +25,7 @@ pub const ANNOTATE_FACTS: &str = "annotate_";
 /// The type of [`Manifest::rejected_pairs`].
 pub type RejectedPairs = BTreeMap<String, BTreeSet<[MotionId; 2]>>;
 
-/// Adds the rejections of other lists to those of the same projects.
+/// Adds rejections, by project or reviewer, to the lists of the same projects and reviewers.
 pub fn add_rejected<T: Ord>(
     all: &mut BTreeMap<String, BTreeSet<T>>,
     more: impl IntoIterator<Item = (String, BTreeSet<T>)>,

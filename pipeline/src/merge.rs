@@ -460,8 +460,8 @@ impl MergedLabels {
     }
 }
 
-/// The labels of both datasets. What people rejected in either is not taken, unless a person accepted it, nor
-/// are pairs whose motions are in two splits now. Of clips that both have, the second dataset gives automatic labels
+/// The labels of both datasets, without those that people rejected in either and nobody accepted, and without pairs
+/// whose motions are in two splits now. Of clips that both have, the second dataset gives automatic labels
 /// only where the first has none, and labels that only one of them has from people replace automatic ones of the other.
 fn labels(
     parts: &[&Part<'_>; 2],

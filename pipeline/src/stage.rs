@@ -213,7 +213,7 @@ pub fn masks(
     commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)
 }
 
-/// Commits the rows of a table and facts, even if the table was made by the same plan.
+/// Commits the rows of a table, and facts. A table that the same plan made is written again.
 fn commit_changed<R: Row>(
     dataset: &Dataset,
     rows: &[R],

@@ -132,7 +132,7 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
         mask,
     });
     add_rejected(&mut lists, [(author.to_owned(), rejected.collect())]);
-    // A mask that is there now is not rejected, and neither are all masks of its clip.
+    // The dataset has these masks now, so earlier rejections of them, or of all masks of their clips, end.
     let mut there: BTreeSet<(&MotionId, Option<MaskPlace>)> = BTreeSet::new();
     for mask in &taken.masks {
         there.insert((&mask.motion_id, Some(MaskPlace::of(mask))));

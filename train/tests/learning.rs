@@ -8,7 +8,6 @@ use std::f64::consts::{PI, SQRT_2};
 use std::path::Path;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::Instant;
 
 use burn::module::Module;
 use burn::optim::{AdamWConfig, GradientsParams};
@@ -35,7 +34,7 @@ use train::exchange::export;
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
-use train::model::pass::{Arithmetic, Pass};
+use train::model::pass::Pass;
 use train::model::weights::draw;
 use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 use train::schedule::Schedule;
@@ -879,15 +878,7 @@ fn watched<T>(
     stop: &AtomicBool,
     act: impl FnOnce(&Session<'_>) -> T,
 ) -> T {
-    let begun = Instant::now();
-    act(&Session {
-        device: &Device::flex(),
-        more_devices: &[],
-        arithmetic: Arithmetic::default(),
-        progress,
-        stop,
-        clock: &|| begun.elapsed(),
-    })
+    support::on(&Device::flex(), progress, stop, act)
 }
 
 /// Checks that the checkpoints of two runs have equal files.

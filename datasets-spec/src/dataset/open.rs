@@ -133,7 +133,8 @@ impl Dataset {
         Ok(self)
     }
 
-    /// The dataset in a folder, without reading its files; `None` if there is none, and a first commit would replace no file.
+    /// Opens the dataset in a folder without reading its files. `None` if the folder is no dataset, and becoming one would
+    /// replace no file in it.
     ///
     /// # Errors
     /// The dataset has an incompatible format, or the folder is no dataset and holds files that a commit would replace.

@@ -70,8 +70,8 @@ pub fn commit_edits_in(
     })?)
 }
 
-/// Prepares a folder for edits of one system, as [`check_room`] allows. Edits that are there become an older version, and
-/// the files that tell of those edits are removed.
+/// Prepares a folder that [`check_room`] allows for edits of one system. Edits that it holds become an older version; the
+/// times and remarks beside them are removed.
 ///
 /// # Errors
 /// As [`check_room`], or a file cannot be removed.
@@ -94,9 +94,9 @@ pub fn make_room(
     Ok(())
 }
 
-/// Checks that a folder can take edits of these items by one system, given by its name and the hash of its checkpoint;
-/// `None` if there are no edits. The folder may hold the same items without edits, or edits of this system (of its name,
-/// or its checkpoint).
+/// Checks that a dataset can take edits of these items. `made_by` is the name of the system that makes them and the hash of
+/// its checkpoint; `None` if no edits are made. The dataset may hold the same items without edits, or edits by a system
+/// of that name or that checkpoint.
 ///
 /// # Errors
 /// [`Error::Held`] if the folder holds anything else: other items, edits of another system, test items where the edit of

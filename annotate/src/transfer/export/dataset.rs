@@ -23,8 +23,8 @@ const SEQ_FACT: &str = "annotate_seq";
 /// Fact of the manifest with the splits that this store has exported, separated by spaces; missing or empty for all.
 const SPLITS_FACT: &str = "annotate_splits";
 
-/// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance. `None` for an
-/// answer without masks; an answer whose masks do not fit into the table has an empty list.
+/// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance. It is `None` if
+/// the answer has no masks, and an empty list if the table can hold none of them.
 type Described = BTreeMap<String, (i64, Option<Vec<MaskRow>>)>;
 /// Judgements of pairs by the id of the pair, each with the sequence number of the acceptance.
 type Judged = BTreeMap<String, (i64, Judgement)>;

@@ -309,7 +309,7 @@ fn manifest_of(files: &Files, file: &str) -> Result<Option<Manifest>, Rejected> 
     }
 }
 
-/// Whether a file of a dataset's folder belongs to the dataset, by its name in the folder.
+/// Whether a dataset has files of this name, which is relative to its folder.
 fn is_beside(name: &str) -> bool {
     ["README.md", "croissant.json"].contains(&name)
         || name.starts_with("meta/")
