@@ -13,7 +13,7 @@ use eval::protocol::Protocol;
 use train::captioned::CaptionedClip;
 use train::checkpoint::{Slot, check_skeleton};
 use train::coordinator::TrainedCoordinator;
-use train::stage::encoder::captioned_clips;
+use train::stage::captioned::CaptionedClips;
 use train::tmr::TmrEncoder;
 
 use crate::device::{arithmetic, device};
@@ -153,7 +153,15 @@ pub(crate) fn encoder_retrieval(
     let dataset = Dataset::open(root)?;
     check_encoder(run, &dataset.skeleton()?)?;
     let encoder = network(run)?;
-    let mut clips = captioned_clips(&dataset, split)?;
+    let CaptionedClips {
+        mut clips,
+        left_out,
+    } = CaptionedClips::read(&dataset, split)?;
+    if left_out > 0 {
+        report::note(&format!(
+            "{left_out} captions of parts of fewer than two frames were left out"
+        ));
+    }
     let kept: BTreeSet<usize> = protocol.scored_items(clips.len())?.into_iter().collect();
     let mut places = 0..;
     clips.retain(|_| places.next().is_some_and(|place| kept.contains(&place)));
@@ -188,7 +196,7 @@ pub(crate) fn report_on_encoder(
     seed: Seed,
 ) -> anyhow::Result<JudgeReport> {
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?.with_arithmetic(arithmetic());
-    let clips = captioned_clips(dataset, Split::Val)?;
+    let clips = CaptionedClips::read(dataset, Split::Val)?.clips;
     let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
     let report = JudgeReport::measure(
         &texts,

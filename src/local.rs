@@ -6,8 +6,13 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use datasets_spec::dataset::Staging;
+use datasets_spec::flags::{FLAG_FPS_DOUBTFUL, FLAG_UP_DOUBTFUL, flag_names};
 use datasets_spec::store::{Disk, is_url, replace_file};
+use datasets_spec::{Motion, Skeleton};
+use pipeline::open::{clip_of_file, file_and_key};
 use serde::de::DeserializeOwned;
+
+use crate::report;
 
 /// Parses a path and refuses a URL: datasets and sources can be remote, runs, exports and stores cannot.
 pub(crate) fn path() -> impl TypedValueParser<Value = PathBuf> {
@@ -69,6 +74,40 @@ pub(crate) fn check_new(path: &Path) -> anyhow::Result<()> {
         )),
         None => Ok(()),
     }
+}
+
+/// Checks that a file for a result is not one that the command reads.
+///
+/// # Errors
+/// `E-OCCUPIED`.
+pub(crate) fn check_not_read(out: &Path, read: &[&Path]) -> anyhow::Result<()> {
+    let Ok(place) = fs::canonicalize(out) else {
+        return Ok(());
+    };
+    match read
+        .iter()
+        .any(|file| fs::canonicalize(file_and_key(file).0).is_ok_and(|file| file == place))
+    {
+        true => {
+            let path = out.display().to_string();
+            let reason =
+                format!("{path} is what the command reads; name another file for the result");
+            let code = Some(("E-OCCUPIED", Some(path)));
+            Err(pipeline::Error::Refused { code, reason }.into())
+        }
+        false => Ok(()),
+    }
+}
+
+/// The motion of a file, with a note if its frame rate or its up axis is doubtful.
+pub(crate) fn motion_of_file(path: &Path, skeleton: &Skeleton) -> anyhow::Result<Motion> {
+    let clip = clip_of_file(path, skeleton)?;
+    let doubts = flag_names(clip.flags & (FLAG_FPS_DOUBTFUL | FLAG_UP_DOUBTFUL));
+    if !doubts.is_empty() {
+        let (path, doubts, notes) = (path.display(), doubts.join(", "), clip.notes.join("; "));
+        report::note(&format!("{path} is {doubts}: {notes}"));
+    }
+    Ok(clip.motion)
 }
 
 /// Writes a file, which appears completely or not at all.

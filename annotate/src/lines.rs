@@ -46,13 +46,20 @@ struct Judgement {
     /// Instruction for the masked part.
     text: String,
     verdict: Verdict,
+    /// Hash of the line as it was drafted: it tells whether the line was edited, and whether its mask was changed since.
+    /// Empty in a line without a draft.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    drafted: String,
 }
+
+/// Characters of [`Judgement::drafted`].
+const DRAFTED_CHARS: usize = 16;
 
 impl Judgement {
     /// The line of a mask as the dataset has it.
     fn of(mask: &MaskRow) -> Result<Self, datasets_spec::Error> {
         let joints = BlendMask::of_names(&mask.hard_joints, &mask.soft_joints)?;
-        Ok(Self {
+        let mut line = Self {
             mask: mask.id.clone(),
             motion: mask.motion_id.to_string(),
             parts: mask.parts.clone(),
@@ -65,7 +72,19 @@ impl Judgement {
             } else {
                 Verdict::Todo
             },
-        })
+            drafted: String::new(),
+        };
+        line.drafted = line.hash();
+        Ok(line)
+    }
+
+    /// Hash of everything but [`drafted`](Self::drafted).
+    fn hash(&self) -> String {
+        let bare = Self {
+            drafted: String::new(),
+            ..self.clone()
+        };
+        blake3::hash(bare.line().as_bytes()).to_hex()[..DRAFTED_CHARS].to_owned()
     }
 
     fn line(&self) -> String {
@@ -82,6 +101,26 @@ impl Judgement {
             || self.parts != drafted.parts
             || self.joints != drafted.joints
             || (self.start, self.end) != (drafted.start, drafted.end))
+    }
+
+    /// Checks that nobody but the author of the line changed its mask since it was drafted. Of a line that does not say what
+    /// it was drafted from, that nobody else has accepted the mask.
+    fn check_current(&self, mask: &MaskRow, author: &str) -> Result<(), String> {
+        let is_current = match self.drafted.as_str() {
+            "" => self.verdict != Verdict::Todo || mask.text_origin != HUMAN,
+            known => {
+                let now = Self::of(mask).map_err(|error| error.to_string())?;
+                known == now.drafted
+            }
+        };
+        match is_current || mask.author == author {
+            true => Ok(()),
+            false => Err(format!(
+                "{} changed mask {} after this line was drafted; judge it again in new drafts (stance masks DATASET \
+                 --drafts FILE)",
+                mask.author, mask.id
+            )),
+        }
     }
 
     /// Checks the mask's range of frames in a clip with `frames` frames; `None` stands for the whole clip.
@@ -216,18 +255,26 @@ fn judge(
             draft.id, draft.motion_id
         ));
     }
-    match judgement.verdict {
-        Verdict::Reject if draft.is_none() => return Ok(None),
-        Verdict::Reject => return Ok(Some((judgement.mask, None))),
-        Verdict::Todo | Verdict::Accept => {}
-    }
-    let edited = judgement.is_edited(draft);
-    // A mask that a person has accepted is drafted as accepted: such a line is no judgement of another person.
-    let is_as_drafted =
-        judgement.verdict == Verdict::Todo || draft.is_some_and(|draft| draft.text_origin == HUMAN);
-    if is_as_drafted && !edited.map_err(|error| error.to_string())? {
-        // The line does not change its draft, or has no content yet.
+    if draft.is_some() && judgement.drafted == judgement.hash() {
+        // Nobody has touched the line.
         return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
+    }
+    // A mask that a person has accepted is drafted as accepted: such a line is no judgement of another person.
+    let is_as_drafted = match judgement.verdict {
+        Verdict::Todo => true,
+        Verdict::Accept => draft.is_some_and(|draft| draft.text_origin == HUMAN),
+        Verdict::Reject => false,
+    };
+    let edited = judgement.is_edited(draft);
+    if is_as_drafted && !edited.map_err(|error| error.to_string())? {
+        // The line does not change its mask, or has no content yet.
+        return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
+    }
+    if let Some(draft) = draft {
+        judgement.check_current(draft, author)?;
+    }
+    if judgement.verdict == Verdict::Reject {
+        return Ok(draft.map(|_| (judgement.mask, None)));
     }
     let range = judgement.range(frames)?;
     let mask = mask_of_line(&judgement)?;
@@ -366,6 +413,47 @@ mod tests {
         assert_eq!(after.masks[0], before[0]);
         let authors = after.masks[1..].iter().map(|mask| mask.author.as_str());
         assert_eq!(authors.collect::<Vec<_>>(), ["bob", "bob"]);
+    }
+
+    #[test]
+    fn older_drafts_do_not_overwrite_what_somebody_accepted_since() {
+        let (masks, motions) = dataset();
+        let text = |lines: &[Judgement]| lines.iter().map(Judgement::line).collect::<String>();
+        let (older, mut newer) = (judgements(&masks), judgements(&masks));
+        newer[0].text = "The person is saluting.".to_owned();
+        newer[0].verdict = Verdict::Accept;
+        let now = accept(&text(&newer), "bob", &masks, &motions)
+            .expect("fine")
+            .masks;
+
+        // Their author may go on with the same lines.
+        let again = [("bow", Verdict::Accept), ("bow", Verdict::Reject)].map(|(text, verdict)| {
+            let mut line = newer[0].clone();
+            (line.text, line.verdict) = (text.to_owned(), verdict);
+            accept(&line.line(), "bob", &now, &motions).is_ok()
+        });
+        assert_eq!(again, [true; 2]);
+        // Untouched lines of older drafts leave the masks of others alone.
+        let mut lines = older.clone();
+        lines[1].verdict = Verdict::Accept;
+        let taken = accept(&text(&lines), "ann", &now, &motions).expect("fine");
+        assert_eq!((&taken.masks[0], taken.open_edits), (&now[0], 0));
+        assert_eq!(taken.masks[1].author, "ann");
+        for change in [
+            (|line| line.verdict = Verdict::Reject) as fn(&mut Judgement),
+            |line| line.verdict = Verdict::Accept,
+            |line| line.text.push('!'),
+            |line| {
+                line.drafted.clear();
+                line.text.push('!');
+            },
+        ] {
+            let mut line = older[0].clone();
+            change(&mut line);
+            let findings = accept(&line.line(), "ann", &now, &motions).expect_err("an old line");
+            let said = &findings[0].problem;
+            assert!(said.starts_with("bob changed mask a#LEFT_ARM"), "{said}");
+        }
     }
 
     #[test]

@@ -105,6 +105,19 @@ pub enum Error {
         /// The file, relative to the folder.
         file: String,
     },
+    /// A folder holds tables that the new one does not belong with.
+    #[error(
+        "{} holds the table {table}, and {made} do not belong beside it; name another folder",
+        path.display()
+    )]
+    Beside {
+        /// The folder.
+        path: PathBuf,
+        /// A table that it holds.
+        table: String,
+        /// What the run makes.
+        made: &'static str,
+    },
     /// Another run writes to the same folder.
     #[error("{} is locked by another run ({holder}); wait for it or choose another folder", path.display())]
     Locked {
@@ -169,7 +182,7 @@ impl Error {
             Self::Io { path, .. } => ("E-IO", path),
             Self::Locked { path, .. } => ("E-LOCKED", path),
             Self::Overtaken { path, .. } => ("E-OVERTAKEN", path),
-            Self::Occupied { path, .. } => ("E-OCCUPIED", path),
+            Self::Occupied { path, .. } | Self::Beside { path, .. } => ("E-OCCUPIED", path),
             Self::NotADataset { path, .. } => ("E-DATASET", path),
             Self::Version { path, .. } => ("E-VERSION", path),
             Self::Corrupt { path, .. } | Self::Parquet { path, .. } | Self::Json { path, .. } => {

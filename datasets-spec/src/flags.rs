@@ -30,8 +30,11 @@ pub const FLAG_REFERENCE_DROPPED: u32 = 1 << 12;
 /// The number of rows in the file differs from its header; the file was read because the run asked for it.
 pub const FLAG_ROW_COUNT: u32 = 1 << 13;
 
+/// The up axis was taken from the posture of a person who does not stand upright most of the time.
+pub const FLAG_UP_DOUBTFUL: u32 = 1 << 14;
+
 /// The names of all flags, in the order of their bits.
-pub const FLAG_NAMES: [(u32, &str); 14] = [
+pub const FLAG_NAMES: [(u32, &str); 15] = [
     (FLAG_FLOOR_PENETRATION, "floor-penetration"),
     (FLAG_FOOT_SKATE, "foot-skate"),
     (FLAG_CONSTANT_POSE, "constant-pose"),
@@ -46,6 +49,7 @@ pub const FLAG_NAMES: [(u32, &str); 14] = [
     (FLAG_TELEPORT, "teleport"),
     (FLAG_REFERENCE_DROPPED, "reference-dropped"),
     (FLAG_ROW_COUNT, "row-count"),
+    (FLAG_UP_DOUBTFUL, "up-doubtful"),
 ];
 
 /// The names of the flags that are set.

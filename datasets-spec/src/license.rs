@@ -23,8 +23,9 @@ pub fn is_non_commercial(tag: &str) -> bool {
 /// of motion collections (tags with `LicenseRef`), and for Creative Commons licences without derivatives, because
 /// stored motions were retargeted and resampled.
 pub fn is_restricted(tag: &str) -> bool {
+    let tag = tag.to_lowercase();
     let mut parts = tag.split(|c: char| !c.is_ascii_alphanumeric());
-    parts.any(|part| matches!(part, "LicenseRef" | "ND"))
+    parts.any(|part| matches!(part, "licenseref" | "nd"))
 }
 
 /// Families of SPDX identifiers that the Hugging Face hub knows.
@@ -102,6 +103,8 @@ mod tests {
             "LicenseRef-AMASS-NonCommercial",
             "MIT AND LicenseRef-SMPL-NonCommercial",
             "CC-BY-NC-ND-4.0",
+            "cc-by-nd-4.0",
+            "licenseref-amass-noncommercial",
         ] {
             assert!(is_restricted(tag), "{tag}");
         }

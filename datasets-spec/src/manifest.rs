@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::rejected::RejectedMasks;
-use crate::{MotionId, Split};
+use crate::{Error, MotionId, Split};
 
 /// Key of the fact that names the label by which splits were drawn, such as `subject`: clips with the same value of the
 /// label are in the same split.
@@ -155,25 +156,44 @@ impl Manifest {
         self.plans.get(table).map_or("", String::as_str)
     }
 
+    /// A fact that is kept as JSON; the default if it is missing.
+    ///
+    /// # Errors
+    /// It is of another form, as one that a later version wrote may be.
+    pub fn fact<T: DeserializeOwned + Default>(&self, name: &str) -> Result<T, Error> {
+        let Some(text) = self.facts.get(name) else {
+            return Ok(T::default());
+        };
+        serde_json::from_str(text).map_err(|error| {
+            Error::Refused(format!(
+                "the manifest of version {} states {name} in a form that this program does not know ({error}); use the \
+                 version of stance that wrote it, or a later one",
+                self.version
+            ))
+        })
+    }
+
     /// Source and target of the pairs that people judged unusable, by annotation project: no stage makes them again. The
     /// name of the project is empty for a list of version 0.2 or earlier, which does not say whose it is.
-    pub fn rejected_pairs(&self) -> RejectedPairs {
-        let Some(text) = self.facts.get(REJECTED_PAIRS_FACT) else {
-            return RejectedPairs::new();
-        };
-        serde_json::from_str(text).unwrap_or_else(|_| {
-            let list: Option<BTreeSet<[MotionId; 2]>> = serde_json::from_str(text).ok();
-            list.map(|list| (String::new(), list)).into_iter().collect()
+    ///
+    /// # Errors
+    /// As [`Manifest::fact`].
+    pub fn rejected_pairs(&self) -> Result<RejectedPairs, Error> {
+        self.fact(REJECTED_PAIRS_FACT).or_else(|error| {
+            let list: BTreeSet<[MotionId; 2]> =
+                self.fact(REJECTED_PAIRS_FACT).map_err(|_| error)?;
+            Ok(RejectedPairs::from([(String::new(), list)]))
         })
     }
 
     /// The masks that people rejected; [`Dataset::rejections`] finds those that hold.
     ///
+    /// # Errors
+    /// As [`Manifest::fact`].
+    ///
     /// [`Dataset::rejections`]: crate::Dataset::rejections
-    pub fn rejected_masks(&self) -> RejectedMasks {
-        let text = self.facts.get(REJECTED_MASKS_FACT);
-        text.and_then(|text| serde_json::from_str(text).ok())
-            .unwrap_or_default()
+    pub fn rejected_masks(&self) -> Result<RejectedMasks, Error> {
+        self.fact(REJECTED_MASKS_FACT)
     }
 
     /// Computes the root hash of all files.

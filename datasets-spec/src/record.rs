@@ -688,6 +688,19 @@ impl MaskRow {
         }
     }
 
+    /// Moves the range when the motion is cut or resampled: `place` maps a frame of the old motion to one of the new motion,
+    /// which has `len` frames. Returns whether enough frames are left ([`MaskRow::SHORTEST`]).
+    pub fn move_range(&mut self, len: usize, place: impl Fn(f64) -> f64) -> bool {
+        let Some((start, end)) = self.start.as_mut().zip(self.end.as_mut()) else {
+            return true;
+        };
+        let len = i32::try_from(len).unwrap_or(i32::MAX);
+        for frame in [&mut *start, &mut *end] {
+            *frame = (place(f64::from(*frame)).round() as i32).clamp(0, len);
+        }
+        *end - *start >= Self::SHORTEST
+    }
+
     /// The frames that the mask holds for, of its motion of `len` frames.
     ///
     /// # Errors

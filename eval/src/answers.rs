@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use datasets_spec::dataset::commit_rows;
+use datasets_spec::dataset::{commit_rows, refuse_others};
 use datasets_spec::manifest::plan_hash;
-use datasets_spec::record::ScoreRow;
+use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
+use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Progress, Skeleton};
 
 use crate::Error;
@@ -75,17 +76,29 @@ impl Scores {
         unranked(first, &self.rows, &self.judges)
     }
 
+    /// Refuses a folder that holds other tables than scores, or than the items and edits that they are about.
+    ///
+    /// # Errors
+    /// It does, or it cannot be read.
+    pub fn check_room(out: &Path) -> Result<(), Error> {
+        let own = [
+            ScoreRow::TABLE,
+            ItemRow::TABLE,
+            EditRow::TABLE,
+            QuarantineRow::TABLE,
+        ];
+        Ok(refuse_others(out, &own, "scores")?)
+    }
+
     /// Commits the scores as a separate dataset.
     ///
     /// # Errors
     /// The folder is locked or cannot be written.
     pub fn commit(&self, out: &Path, skeleton: &Skeleton, holder: &str) -> Result<Dataset, Error> {
-        let values: Vec<_> = self
-            .rows
-            .iter()
-            .map(|row| (&row.system, &row.task, &row.metric, row.mean.to_bits()))
-            .collect();
-        let plan = plan_hash("scores", &values);
+        Self::check_room(out)?;
+        // Debug writes every digit of a number, and NaN too.
+        let rows = format!("{:?}", self.rows);
+        let plan = plan_hash("scores", &rows);
         Ok(commit_rows(out, &self.rows, None, skeleton, &plan, holder)?)
     }
 }

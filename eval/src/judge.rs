@@ -3,7 +3,7 @@
 //! An encoder may not rank if it has no report, or if the lower bound of its R@3 on held-out real motion is below
 //! [`CHANCE_FACTOR`] times chance. A set of items may not be ranked if the encoder cannot distinguish its targets from
 //! its sources: the lower bound of the paired difference in E2T R@1 between real data and the identity editor is not
-//! above 0.
+//! above 0, or there are fewer than [`MIN_TARGETS`] targets.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::Error;
 use crate::evaluators::MotionEncoder;
 use crate::linalg::Matrix;
 use crate::metric::cross_retrieval::{CrossRanks, cross_ranks};
-use crate::metric::interval::mean_of_known;
+use crate::metric::interval::{MIN_TARGETS, mean_of_known};
 use crate::metric::retrieval::{E2T_RECALL_1, RECALL_AT, unit_rows};
 use crate::names::IDENTITY;
 use crate::protocol::Protocol;
@@ -34,7 +34,8 @@ const TAIL: f64 = 0.025;
 /// Version of the report.
 const FORMAT: u32 = 1;
 
-/// How well the texts and motions of an encoder retrieve each other on clips that its training never saw.
+/// How well the texts and motions of an encoder retrieve each other on clips that its training did not learn from. The
+/// checkpoint of an encoder of one's own was chosen by the loss on the same clips.
 ///
 /// The first caption of each clip is its text. Any clip with the query's text counts as a hit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -384,6 +385,14 @@ pub(crate) fn unranked<'a>(
         row.system == IDENTITY && row.metric == TOLD_APART && table_of(row) == table_of(first)
     };
     let told = rows.into_iter().find(is_of)?;
+    // Scores of version 0.1 do not say how many targets they have.
+    if (1..MIN_TARGETS).contains(&told.targets) {
+        return Some(format!(
+            "This table ranks nothing. It has {} targets, and {MIN_TARGETS} are needed to know whether the encoder tells targets \
+             from sources.",
+            told.targets
+        ));
+    }
     let lower = told.mean - told.ci95.unwrap_or(0.0);
     (lower <= 0.0).then(|| {
         format!(

@@ -13,7 +13,7 @@ use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::rejected::{RejectedMask, RejectedMasks, Rejections};
-use datasets_spec::table::{Row, read_rows};
+use datasets_spec::table::{Caption, PartCaption, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split, Transaction};
 use serde::Serialize;
 
@@ -34,6 +34,8 @@ pub struct Merged {
     pub clips: u64,
     /// Clips of the second dataset that the first has too: same id, same motion.
     pub shared: Vec<String>,
+    /// Of these clips, those whose description in the second dataset was lost, by the field in which the datasets differ.
+    pub differing: BTreeMap<&'static str, Vec<String>>,
     /// New ids of clips of the second dataset, by their old ids, under which the first has another motion.
     pub renamed: BTreeMap<String, String>,
     /// Clips of the second dataset whose split changed, because the first dataset has clips of the same recording: of
@@ -136,17 +138,28 @@ impl<'a> Part<'a> {
     }
 }
 
+/// What a merge does with clips that both datasets have and describe differently.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Differing {
+    /// The merge is refused.
+    Refuse,
+    /// The description of the first dataset is taken, and that of the second is lost.
+    TakeFirst,
+}
+
 /// Merges `second` into a copy of `first` and commits the result at `out`, a new folder. All clips of the
 /// first keep their ids and splits, and their labels except automatic ones that give way to those of people. What people
 /// rejected in either stays rejected.
 ///
 /// # Errors
-/// The datasets differ in their skeleton, rate, resampling or features, `out` is a dataset already, or reading or
+/// The datasets differ in their skeleton, rate, resampling or features, or with [`Differing::Refuse`] in what they say of
+/// a clip of both, `out` is a dataset already, or reading or
 /// writing fails.
 pub fn merge(
     first: &Path,
     second: &Path,
     out: &Path,
+    differing: Differing,
     holder: &str,
     progress: &dyn Progress,
 ) -> Result<Merged, Error> {
@@ -159,10 +172,14 @@ pub fn merge(
     if transaction.base().is_some() {
         return Err(Error::dataset_exists(out));
     }
-    let sources = MergedSources::of(a, b);
+    let sources = MergedSources::of(a, b)?;
     let mut facts = sources.facts.clone();
     let base = Part::new(a, 0, &sources, "");
     let added = added(&datasets, &clips, &sources)?;
+    let differing_clips = differing_clips(&datasets, &added.shared)?;
+    if differing == Differing::Refuse && !differing_clips.is_empty() {
+        return Err(refused_for(&differing_clips));
+    }
     let hashes = [a, b].map(|dataset| &dataset.manifest().root_hash);
     let plan = plan_hash("merge", &(hashes[0], hashes[1], &added.label));
     let shard_facts = table_facts(&skeleton, &plan);
@@ -172,7 +189,7 @@ pub fn merge(
     let licenses = license::count(transaction.root(), motions)?;
     facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     let splits = splits(&parts, &clips);
-    let (pairs, masks) = rejected(&parts);
+    let (pairs, masks) = rejected(&parts)?;
     let labels = labels(&parts, &splits, &pairs, &masks)?;
     if !pairs.is_empty() {
         facts.insert(REJECTED_PAIRS_FACT.to_owned(), json(&pairs));
@@ -215,6 +232,7 @@ pub fn merge(
     Ok(Merged {
         clips: num_clips,
         shared: added.shared.iter().map(ToString::to_string).collect(),
+        differing: differing_clips,
         renamed: added.ids.iter().map(names).collect(),
         moved: added
             .splits
@@ -244,7 +262,10 @@ fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error>
 
 /// Refuses datasets that differ in a setting that must be the same for all clips of a dataset.
 fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(), Error> {
-    let recorded = datasets.each_ref().map(recorded_settings);
+    let recorded = [
+        recorded_settings(&datasets[0])?,
+        recorded_settings(&datasets[1])?,
+    ];
     let of = |name: &str| {
         recorded
             .each_ref()
@@ -323,6 +344,76 @@ fn added<'a>(
     Ok(part)
 }
 
+/// The clips of both datasets that these describe differently, by the column in which they differ.
+fn differing_clips(
+    datasets: &[Dataset; 2],
+    shared: &BTreeSet<MotionId>,
+) -> Result<BTreeMap<&'static str, Vec<String>>, Error> {
+    let [first, second] = [
+        described(&datasets[0], shared)?,
+        described(&datasets[1], shared)?,
+    ];
+    let mut differing: BTreeMap<&'static str, Vec<String>> = BTreeMap::new();
+    for (id, first) in first {
+        let columns = DESCRIBING.iter().zip(first).zip(&second[&id]);
+        for ((column, first), second) in columns {
+            if first != *second {
+                differing.entry(column).or_default().push(id.to_string());
+            }
+        }
+    }
+    Ok(differing)
+}
+
+/// Columns that describe a motion and do not follow from its content.
+const DESCRIBING: [&str; 6] = [
+    "captions",
+    "part_captions",
+    "subject",
+    "action",
+    "style",
+    "license",
+];
+
+/// The values of [`DESCRIBING`] of some clips, as texts.
+fn described(
+    dataset: &Dataset,
+    clips: &BTreeSet<MotionId>,
+) -> Result<BTreeMap<MotionId, [String; 6]>, Error> {
+    let mut described = BTreeMap::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let ids: Vec<MotionId> = shard.column::<MotionRow, _>("id")?;
+        let captions: Vec<Vec<Caption>> = shard.column::<MotionRow, _>("captions")?;
+        let parts: Vec<Vec<PartCaption>> = shard.column::<MotionRow, _>("part_captions")?;
+        let texts = ["subject", "action", "style", "license"]
+            .map(|name| shard.column::<MotionRow, Option<String>>(name));
+        let [subject, action, style, license] = texts;
+        let texts = [subject?, action?, style?, license?];
+        for (row, id) in ids.into_iter().enumerate() {
+            if clips.contains(&id) {
+                let [subject, action, style, license] =
+                    texts.each_ref().map(|text| format!("{:?}", text[row]));
+                let captions = format!("{:?}", captions[row]);
+                let parts = format!("{:?}", parts[row]);
+                described.insert(id, [captions, parts, subject, action, style, license]);
+            }
+        }
+    }
+    Ok(described)
+}
+
+fn refused_for(differing: &BTreeMap<&'static str, Vec<String>>) -> Error {
+    let columns = differing
+        .iter()
+        .map(|(column, clips)| format!("{column} of {} (such as {})", clips.len(), clips[0]));
+    Error::refused(format!(
+        "the datasets describe common clips differently: {}; put the dataset whose descriptions you want first, and pass \
+         --take-first: those of the other are lost",
+        columns.collect::<Vec<_>>().join(", ")
+    ))
+}
+
 /// Clips of the second dataset whose split changes, because the first has clips of the same recording.
 fn moved(
     datasets: [&Dataset; 2],
@@ -331,7 +422,7 @@ fn moved(
     let mut recordings = Vec::new();
     let mut sketched = Vec::new();
     for (number, (dataset, clips)) in datasets.into_iter().zip(clips).enumerate() {
-        let prefixes = Prefixes::of(dataset);
+        let prefixes = Prefixes::of(dataset)?;
         let ids = clips.iter().enumerate();
         let places: BTreeMap<&MotionId, usize> = ids
             .map(|(place, clip)| (&clip.origin.id, recordings.len() + place))
@@ -404,12 +495,12 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
 }
 
 /// The pairs and masks that people rejected in either dataset, with the ids of the result.
-fn rejected(parts: &[&Part<'_>; 2]) -> (RejectedPairs, RejectedMasks) {
+fn rejected(parts: &[&Part<'_>; 2]) -> Result<(RejectedPairs, RejectedMasks), Error> {
     let (mut all_pairs, mut all_masks) = (RejectedPairs::new(), RejectedMasks::new());
     for part in parts {
         let manifest = part.dataset.manifest();
         let renamed = manifest
-            .rejected_pairs()
+            .rejected_pairs()?
             .into_iter()
             .map(|(project, pairs)| {
                 let pairs = pairs
@@ -419,7 +510,7 @@ fn rejected(parts: &[&Part<'_>; 2]) -> (RejectedPairs, RejectedMasks) {
             });
         add_rejected(&mut all_pairs, renamed);
         let renamed = manifest
-            .rejected_masks()
+            .rejected_masks()?
             .into_iter()
             .map(|(project, masks)| {
                 let masks = masks.into_iter().map(|rejected| RejectedMask {
@@ -430,7 +521,7 @@ fn rejected(parts: &[&Part<'_>; 2]) -> (RejectedPairs, RejectedMasks) {
             });
         add_rejected(&mut all_masks, renamed);
     }
-    (all_pairs, all_masks)
+    Ok((all_pairs, all_masks))
 }
 
 /// The labels of both datasets, and those that the result does not take.

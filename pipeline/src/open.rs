@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use clip::Outcome;
+use clip::{Outcome, SourceClip};
 use datasets_spec::record::{ItemRow, MotionRow};
 use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardReader};
-use datasets_spec::{Dataset, Motion, Skeleton};
+use datasets_spec::{Dataset, Skeleton};
 use formats::source::labels::ClipLabels;
 use formats::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
@@ -15,6 +15,7 @@ use crate::clips::check_content;
 
 /// Code of a file that contains no motion without being rejected.
 const NO_MOTION: &str = "E-NO-MOTION";
+const SEVERAL_MOTIONS: &str = "E-SEVERAL-MOTIONS";
 
 /// The row of a clip of a dataset. Only ids are read, and the pages of the clip, which is checked against
 /// its hash.
@@ -56,12 +57,12 @@ pub fn stored_item(dataset: &Dataset, id: &str) -> Result<ItemRow, Error> {
     }
 }
 
-/// A motion of a source file, posed on the given skeleton: the first, or the one named after `#`, as in
+/// The motion of a source file, posed on the given skeleton: the only one, or the one named after `#`, as in
 /// `file.glb#Walking_A`.
 ///
 /// # Errors
-/// The file cannot be read, has no motion of that name, or no usable one.
-pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
+/// The file cannot be read, has no motion of that name, several and none is named, or no usable one.
+pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<SourceClip, Error> {
     let options = ReadOptions {
         skeleton: skeleton.clone(),
         ..ReadOptions::default()
@@ -72,25 +73,32 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
         let path = path.to_owned();
         Error::from(formats::Error::UnusableFile { path, code, reason })
     };
-    if let Some(key) = key {
-        let names: Vec<String> = outcomes.iter().map(|(name, _)| name.clone()).collect();
-        outcomes.retain(|(name, _)| *name == key);
-        if outcomes.is_empty() {
-            let names = names.join(", ");
-            let reason = format!("it holds no motion {key:?}; its motions are {names}");
-            return Err(refused(NO_MOTION, reason));
+    let names = outcomes.iter().map(|(name, _)| name.as_str());
+    let names = names.collect::<Vec<_>>().join(", ");
+    match key {
+        Some(key) => {
+            outcomes.retain(|(name, _)| *name == key);
+            if outcomes.is_empty() {
+                let reason = format!("it holds no motion {key:?}; its motions are {names}");
+                return Err(refused(NO_MOTION, reason));
+            }
         }
+        None if outcomes.len() > 1 => {
+            let reason = format!("it holds several motions; name one, as FILE#NAME: {names}");
+            return Err(refused(SEVERAL_MOTIONS, reason));
+        }
+        None => {}
     }
     match outcomes.into_iter().next().map(|(_, outcome)| outcome) {
         None => Err(refused(NO_MOTION, "it holds no motion".to_owned())),
-        Some(Outcome::Clip(clip)) => Ok(clip.motion),
+        Some(Outcome::Clip(clip)) => Ok(*clip),
         Some(Outcome::Skipped { reason }) => Err(refused(NO_MOTION, reason)),
         Some(Outcome::Rejected(rejected)) => Err(refused(rejected.code, rejected.to_string())),
     }
 }
 
 /// The file and the name in `file#name`; if a file has this whole name, there is no name.
-fn file_and_key(path: &Path) -> (PathBuf, Option<String>) {
+pub fn file_and_key(path: &Path) -> (PathBuf, Option<String>) {
     let named = || {
         let (file, key) = path.to_str()?.rsplit_once('#')?;
         Some((PathBuf::from(file), Some(key.to_owned())))

@@ -18,7 +18,6 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::clip_table::clip_facts;
-use crate::facts::fact;
 use crate::likeness::{Sketch, near_pairs};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -58,8 +57,8 @@ impl Recording {
 pub(crate) struct Prefixes(Vec<String>);
 
 impl Prefixes {
-    pub(crate) fn of(dataset: &Dataset) -> Self {
-        let sources: Vec<serde_json::Value> = fact(&dataset.manifest().facts, "sources");
+    pub(crate) fn of(dataset: &Dataset) -> Result<Self, Error> {
+        let sources: Vec<serde_json::Value> = dataset.manifest().fact("sources")?;
         let prefixes = sources
             .iter()
             .filter_map(|source| source.get("label")?.as_str());
@@ -68,7 +67,7 @@ impl Prefixes {
             .map(|label| format!("{label}/"))
             .collect();
         prefixes.sort_by_key(|prefix| std::cmp::Reverse(prefix.len()));
-        Self(prefixes)
+        Ok(Self(prefixes))
     }
 
     /// An id without the prefix of its source.

@@ -7,9 +7,11 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
-use datasets_spec::dataset::{Commit, Transaction, commit_table, table_facts};
+use datasets_spec::dataset::{Commit, Transaction, commit_table, refuse_others, table_facts};
 use datasets_spec::manifest::{REJECTED_MASKS_FACT, plan_hash};
-use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{
+    EditRow, ItemRow, MaskRow, MotionRow, PairRow, QuarantineRow, ScoreRow,
+};
 use datasets_spec::table::{Row, ShardReader, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Skeleton, Split};
 use serde::{Deserialize, Serialize};
@@ -161,7 +163,7 @@ pub fn masks(
         }
         Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }
-    let mut lists = dataset.manifest().rejected_masks();
+    let mut lists = dataset.manifest().rejected_masks()?;
     if judged == Judged::Replace {
         for list in lists.values_mut() {
             list.retain(|rejected| !chosen.has_clip(&rejected.clip));
@@ -203,7 +205,7 @@ pub fn masks(
         .progress
         .finish(&format!("{} masks on {num_clips} clips", rows.len()));
     let mut facts = BTreeMap::new();
-    if lists != dataset.manifest().rejected_masks() {
+    if lists != dataset.manifest().rejected_masks()? {
         facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&lists));
     }
     let is_same = are_same_rows([&rows, &present], |row| row.id.as_str());
@@ -300,7 +302,7 @@ pub fn pairs(
     rows.retain(|row| !is_from_labels(row) || !is_chosen(row) || alone.contains(&row.target_id));
     let paired: BTreeSet<&MotionId> = rows.iter().map(|row| &row.target_id).collect();
     made.alone.retain(|id| !paired.contains(id));
-    let rejected = dataset.manifest().rejected_pairs().into_values().flatten();
+    let rejected = dataset.manifest().rejected_pairs()?.into_values().flatten();
     let new = new_pairs(made.rows, &rows, rejected.collect());
     rows.extend(new);
     // A condition may choose other clips than before, so the plan alone does not tell whether there is work.
@@ -308,7 +310,13 @@ pub fn pairs(
         return Ok((dataset, made.alone));
     }
     context.progress.begin("pairs", None);
-    context.progress.finish(&format!("{} pairs", rows.len()));
+    let across = match made.across {
+        0 => String::new(),
+        count => format!("; labels name two people in {count} of them"),
+    };
+    context
+        .progress
+        .finish(&format!("{} pairs{across}", rows.len()));
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
         return Ok((dataset, made.alone));
     }
@@ -347,7 +355,7 @@ pub fn listed_pairs(
         .iter()
         .cloned()
         .partition(|row| row.source == pairs::LISTED);
-    let rejected = dataset.manifest().rejected_pairs().into_values().flatten();
+    let rejected = dataset.manifest().rejected_pairs()?.into_values().flatten();
     let made = list.pairs(&motions, &known, &rejected.collect());
     let mut rows: BTreeMap<String, PairRow> = listed
         .into_iter()
@@ -375,7 +383,11 @@ pub fn can_coordinate(root: &Path) -> Result<bool, Error> {
     let mut origins = BTreeSet::new();
     for (path, _) in dataset.files(MotionRow::TABLE, Some(Split::Train)) {
         let ids = read_column::<MotionRow, MotionId>(&path, "id")?;
-        origins.extend(ids.iter().map(|id| id.source_clip().to_owned()));
+        let mirrored = read_column::<MotionRow, Option<String>>(&path, "mirrored_of")?;
+        for (id, mirrored_of) in ids.iter().zip(mirrored) {
+            let original = mirrored_of.map(|id| MotionId::parse(&id)).transpose()?;
+            origins.insert(original.as_ref().unwrap_or(id).source_clip().to_owned());
+        }
     }
     Ok(origins.len() > 1)
 }
@@ -407,6 +419,13 @@ pub fn items(
         None => "items",
     };
     let plan = plan_hash(stage, &(content, split, config, seed));
+    let own = [
+        ItemRow::TABLE,
+        EditRow::TABLE,
+        ScoreRow::TABLE,
+        QuarantineRow::TABLE,
+    ];
+    refuse_others(out, &own, "items")?;
     if let Ok(held) = Dataset::open_unverified(out) {
         if held.manifest().plan(ItemRow::TABLE) == plan {
             return Ok(ItemsFolder {

@@ -79,7 +79,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
         findings.extend(all.take(read));
     }
     findings.extend(all.named.iter().filter_map(|name| name.check(&all.motions)));
-    findings.extend(check_splits(&dataset, &all.met));
+    findings.extend(check_splits(&dataset, &all.met)?);
     let composed: BTreeSet<Split> = all.labels.values().copied().collect();
     findings.extend(check_mixture(&dataset, &all.met, &composed, &all.recipes));
     findings.extend(check_answers(&all.answers, &all.items));

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Subcommand;
 use datasets_spec::Transaction;
-use pipeline::merge::{Merged, merge};
+use pipeline::merge::{Differing, Merged, merge};
 use serde_json::json;
 
 use crate::exit::Exit;
@@ -51,6 +51,11 @@ struct Merge {
     /// Folder of the new dataset
     #[arg(long)]
     out: PathBuf,
+    /// Take captions, labels and licences of clips that both have from the first, and lose those of the second
+    ///
+    /// Without it, datasets that describe a common clip differently are not merged.
+    #[arg(long)]
+    take_first: bool,
 }
 
 /// Remove old versions of a dataset, and the files that no other version uses.
@@ -82,10 +87,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 
 fn merged(args: &Merge, global: &Global) -> anyhow::Result<Exit> {
     let (holder, bars) = (global.holder(), global.bars());
-    let done = merge(&args.first, &args.second, &args.out, &holder, &bars).with_context(|| {
-        let [first, second] = [&args.first, &args.second].map(|path| path.display());
-        format!("cannot merge {first} and {second}")
-    })?;
+    let differing = match args.take_first {
+        true => Differing::TakeFirst,
+        false => Differing::Refuse,
+    };
+    let [first, second] = [&args.first, &args.second];
+    let done = merge(first, second, &args.out, differing, &holder, &bars)
+        .with_context(|| format!("cannot merge {} and {}", first.display(), second.display()))?;
     global.say(&done, &summary(&done))
 }
 
@@ -100,6 +108,12 @@ fn summary(done: &Merged) -> String {
     }
     for (id, split) in &done.moved {
         text += &format!("  {id} is in {split}\n");
+    }
+    for (column, clips) in &done.differing {
+        text += &format!(
+            "  {column} of {} clips of the second dataset were left out\n",
+            clips.len()
+        );
     }
     for id in &done.dropped_labels {
         text += &format!("  pair {id} was dropped: its motions are in two splits now\n");

@@ -11,7 +11,7 @@ use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
 use eval::names::GIVEN;
-use pipeline::open::{clip_of_file, stored_clip};
+use pipeline::open::stored_clip;
 use train::checkpoint::Slot;
 use train::history::{EditHistory, HistoryStep};
 use train::registry::{has_frozen_text, open_system};
@@ -205,6 +205,15 @@ impl Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     args.device.choose()?;
+    let read: Vec<&Path> = args
+        .motion
+        .iter()
+        .map(Path::new)
+        .chain(args.history.as_deref())
+        .collect();
+    for out in &args.out {
+        local::check_not_read(out, &read)?;
+    }
     if let Some(items) = &args.items {
         return answer(args, items, global);
     }
@@ -234,6 +243,7 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
         "edits": rows,
         "root_hash": manifest.root_hash,
         "num_short": made.remarks.num_short,
+        "num_cut": made.remarks.num_cut,
         "unknown_words": made.remarks.unknown_words,
         "times": made.times,
     });
@@ -277,7 +287,7 @@ fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<(Str
             Ok((clip.id.to_string(), clip.motion()?))
         }
         _ => {
-            let motion = clip_of_file(Path::new(motion), skeleton)?;
+            let motion = local::motion_of_file(Path::new(motion), skeleton)?;
             Ok((motion.content_hash(), motion))
         }
     }
@@ -340,6 +350,7 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
         "frames": edited.motion.len(),
         "fps": edited.motion.fps(),
         "num_short": remarks.num_short,
+        "num_cut": remarks.num_cut,
         "unknown_words": remarks.unknown_words,
         "fit_error_m": edited.misfit.fit_error_m,
         "bone_drift_m": edited.misfit.bone_drift_m,
@@ -450,7 +461,12 @@ impl Interactive<'_> {
         let edited = edited.with_context(|| format!("in {}", self.path.display()))?;
         self.times += edited.times;
         let (guidance, identity) = (system.guidance(), system.identity());
-        history.push(instructions, seed.0, guidance, identity, &edited);
+        let dropped = history.push(instructions, seed.0, guidance, identity, &edited);
+        if dropped > 0 {
+            report::note(&format!(
+                "{dropped} edits that were taken back are dropped: this edit stands in their place"
+            ));
+        }
         Ok(())
     }
 

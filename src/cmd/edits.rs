@@ -6,8 +6,9 @@ use anyhow::{Context, bail};
 use datasets_spec::license::licenses;
 use datasets_spec::record::EditRow;
 use datasets_spec::{Dataset, Fps};
+use formats::source::Up;
 use pipeline::answers::bundle::Bundle;
-use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
+use pipeline::answers::{AnswerOptions, AnswerReport, Place, read_answers};
 use serde_json::json;
 
 use crate::cmd::edit::system_name;
@@ -73,7 +74,7 @@ struct ImportArgs {
     #[arg(long, value_parser = parse_fps)]
     fps: Option<Fps>,
     /// Vertical axis of the answers [default: z for AMASS and MotionFix, otherwise y]
-    #[arg(long, value_parser = one_of(&[("y", Up::Y, ""), ("z", Up::Z, "")]))]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     up: Option<Up>,
     /// Placement of the answers: as in their files, or on the floor at the start of the item's source [default: source
     /// for MotionFix and HumanML3D, whose files have their own origin]

@@ -294,6 +294,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         interval: args.interval,
         ..args.measure.protocol(Some(table), global)
     };
+    if let Some(out) = &args.out {
+        // Before the work.
+        Scores::check_room(out)?;
+    }
     let runs = args.measure.runs()?;
     let answered = answers(args, runs.encoder)?;
     let scores = stages::scores(&answered, &runs, &protocol, global)?;

@@ -14,7 +14,7 @@ use datasets_spec::{Fps, Resample, Skeleton};
 use formats::markers::MarkerSet;
 use formats::retarget::UserMap;
 use formats::source::body_model::{Subjects, read_skeleton};
-use formats::source::{FORMATS, Format, ReadOptions, Unit, format_named};
+use formats::source::{FORMATS, Format, ReadOptions, Unit, Up, format_named};
 use pipeline::annotation::pairs::PairList;
 use pipeline::ingest::{
     IdList, IngestOptions, IngestReport, SourceArg, SplitBy, SplitList, forecast, ingest,
@@ -70,6 +70,12 @@ pub(crate) struct Args {
     /// metres
     #[arg(long)]
     unit: Option<Unit>,
+    /// Up axis of files such as C3D, TRC, BVH and AMASS: x, y, z, or one of them with a minus
+    ///
+    /// Without it, the axis is the one that the format or a joint map states, else the one along which the person stands. Clips whose
+    /// person mostly does not stand are flagged `up-doubtful`.
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
+    up: Option<Up>,
     /// Store the features of this recipe beside the motions
     #[arg(long, value_enum)]
     features: Option<FeaturesArg>,
@@ -321,6 +327,7 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
         user_map,
         markers,
         unit: args.unit,
+        up: args.up,
         subjects,
         lenient: args.lenient,
         ..ReadOptions::default()

@@ -125,7 +125,7 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
             taken.open_edits
         ));
     }
-    let mut lists = dataset.manifest().rejected_masks();
+    let mut lists = dataset.manifest().rejected_masks()?;
     let rejected = taken.rejected.into_iter().map(|(clip, mask)| RejectedMask {
         content: contents[&clip].clone(),
         clip,
@@ -143,7 +143,7 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
     }
     lists.retain(|_, list| !list.is_empty());
     let mut facts = BTreeMap::new();
-    if lists != dataset.manifest().rejected_masks() {
+    if lists != dataset.manifest().rejected_masks()? {
         facts.insert(
             REJECTED_MASKS_FACT.to_owned(),
             serde_json::to_string(&lists)?,
@@ -180,7 +180,7 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
             text += &format!("  {title} {label:<20} {count:>6}\n");
         }
     }
-    let rejections = dataset.rejections(&dataset.manifest().rejected_masks())?;
+    let rejections = dataset.rejections(&dataset.manifest().rejected_masks()?)?;
     let [single, clips] = rejections.counts();
     if single + clips > 0 {
         text += &format!(

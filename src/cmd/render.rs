@@ -9,7 +9,7 @@ use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::raster;
 use eval::draw::strip::{Row, Style, sheet, strip};
 use pipeline::clips::Clips;
-use pipeline::open::{clip_of_file, stored_clip, stored_item};
+use pipeline::open::{stored_clip, stored_item};
 use tables::Condition;
 
 use crate::exit::Exit;
@@ -165,7 +165,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 continue;
             }
             Some(dataset) => stored_clip(dataset, clip)?.motion()?,
-            None => clip_of_file(Path::new(clip), &skeleton)?,
+            None => local::motion_of_file(Path::new(clip), &skeleton)?,
         };
         picture.rows.push(Row::new(label, &motion, &skeleton));
     }

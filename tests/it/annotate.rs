@@ -22,8 +22,8 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use crate::util::{
-    Ran, arg, assert_has, command, dataset_of, ingested, json_of, len_of, list_of, put, rows_of,
-    stance, text_of, typed, typed_with,
+    Ran, arg, assert_has, assert_tells, command, dataset_of, ingested, json_lines, json_of, len_of,
+    list_of, put, rows_of, stance, text_of, typed, typed_with,
 };
 
 #[derive(Deserialize)]
@@ -298,6 +298,71 @@ pub(crate) fn accept(
         "lease_epoch": review.lease.epoch, "decision": "accept", "author": author });
     let done = store.review(reviewer, from_json(accept), 0);
     done.expect("accepts");
+}
+
+/// Judges lines of the drafts of a dataset with `stance masks --accept`, after `change` has edited them.
+pub(crate) fn judge_lines(dataset: &Path, author: &str, change: impl Fn(&mut Value)) -> Ran {
+    let file = dataset.with_file_name(format!("{author}.jsonl"));
+    let _none = std::fs::remove_file(&file);
+    typed("masks {} --drafts {}", &[&dataset, &file]).expect_code(0);
+    let mut lines = json_lines(&text_of(&file));
+    lines.iter_mut().for_each(change);
+    let lines: Vec<String> = lines.iter().map(Value::to_string).collect();
+    put(&file, lines.join("\n"));
+    let line = "--json masks {} --accept {} --author {}";
+    typed(line, &[&dataset, &file, &author])
+}
+
+#[test]
+fn masks_that_people_accept_outside_a_project_stay_at_its_export() {
+    let (_dir, dataset) = dataset(12);
+    import(&dataset);
+    wants_one_answer(&dataset);
+    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
+    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
+    let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+    accept(store.as_ref(), people, TaskKind::MaskText, masks("testing"));
+    drop(store);
+    let export = || -> Value { annotate(&dataset, &["--json", "export"]).done() };
+    assert_eq!(export()["counts"]["motions_described"], 1);
+    let of_people = || -> Vec<MaskRow> {
+        let mut rows: Vec<MaskRow> = rows_of(&dataset);
+        rows.retain(|row| row.text_origin == "human");
+        rows
+    };
+    let described = of_people();
+
+    // Somebody improves a text without the project.
+    let clip = described[0].motion_id.clone();
+    judge_lines(&dataset, "ben", |line| {
+        if line["mask"] == described[0].id.as_str() {
+            line["text"] = json!("The person is saluting.");
+        }
+    })
+    .expect_code(0);
+    let improved = of_people();
+    assert_eq!(improved[0].author, "ben");
+    let imported: Value = annotate(&dataset, &["--json", "import"]).done();
+    assert_eq!(imported["counts"]["conflicts"], 1, "{imported}");
+    let exported = export();
+    assert_eq!(
+        exported["counts"]["motions_left_to_others"], 1,
+        "{exported}"
+    );
+    assert_eq!(exported["counts"]["motions_described"], 0, "{exported}");
+    assert_tells(&exported["messages"], &format!("{} by ben", improved[0].id));
+    assert_eq!(of_people(), improved);
+
+    // Without them, the answer of the project stands again.
+    judge_lines(&dataset, "cat", |line| {
+        if line["motion"] == clip.as_str() {
+            line["verdict"] = json!("reject");
+        }
+    })
+    .expect_code(0);
+    assert_eq!(of_people(), []);
+    assert_eq!(export()["counts"]["motions_described"], 1);
+    assert_eq!(of_people(), described);
 }
 
 /// Answers some tasks of a store and accepts the answers. The reviewer accepts an answer of her own of each kind.

@@ -171,12 +171,13 @@ fn edits_made_elsewhere_score_as_those_made_here_and_edits_are_exported_one_file
 
 #[test]
 fn the_sources_of_items_score_as_the_identity_and_what_cannot_be_imported_is_named() {
-    let bench = Bench::open();
+    // So many that there are ten targets.
+    let bench = Bench::of_items("24");
     let at = |name: &str| bench.workshop.path(name);
     let out = at("questions");
     stance(&["items", "export", arg(&at("items")), "--out", arg(&out)]).expect_code(0);
     let list: Value = json_of(out.join("items.json"));
-    assert_eq!(len_of(&list["items"]), 8);
+    assert_eq!(len_of(&list["items"]), 24);
     import(&out, &at("items"), "Lazy", &at("lazy"), &[]).expect_code(0);
     let table: Value = bench.eval(&[&at("lazy")], &["--format", "json"]).done();
     let (lazy, identity) = (scores(&table, "Lazy"), scores(&table, "Identity"));
@@ -224,13 +225,13 @@ fn the_sources_of_items_score_as_the_identity_and_what_cannot_be_imported_is_nam
     fs::rename(taken, folder.join("nobody.npz")).expect("renamed");
     put(folder.join("readme.md"), "mine");
     let run = |more: &[&str]| import(&folder, &at("items"), "TMED", &out, more);
-    run(&[]).expect_refused("2 of 8 items have no answer");
+    run(&[]).expect_refused("2 of 24 items have no answer");
     assert!(!out.exists(), "nothing is written");
     let report: Value = run(&["--allow-missing"]).expect_code(3).json();
     let refused = &report["refused"];
     assert_eq!([len_of(refused), len_of(&report["passed_over"])], [2, 1]);
     let counts = ["found", "imported", "answered"].map(|key| &report[key]);
-    assert_eq!(counts, [9, 6, 6]);
+    assert_eq!(counts, [25, 22, 22]);
     for field in ["reason", "file"] {
         assert!(texts_in(refused, field).iter().all(|text| !text.is_empty()));
     }
@@ -246,5 +247,5 @@ fn the_sources_of_items_score_as_the_identity_and_what_cannot_be_imported_is_nam
     assert_eq!(inspected["tables"]["quarantine"], 2);
     bench
         .eval(&[&out], &[])
-        .expect_refused("lacks 2 of 8 items");
+        .expect_refused("lacks 2 of 24 items");
 }

@@ -78,6 +78,22 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     assert_eq!(again["root_hash"], first["root_hash"]);
     assert_eq!(again["scores"], first["scores"]);
 
+    // Other settings of the pose network are not passed over, although it is trained.
+    let other = folder
+        .text("run.toml")
+        .replace("num_steps = 20", "num_steps = 30");
+    folder.put("other.toml", other);
+    let refused = folder
+        .typed("run --weak-judge --config @other.toml")
+        .refusal();
+    assert_has(
+        &refused,
+        &[
+            "stage train j2s",
+            "holds a run whose config.length.steps differs",
+        ],
+    );
+
     // The encoder that ships with the program replaces a trained one.
     let text = folder.text("run.toml");
     let (settings, rest) = text.split_once("[encoder]").expect("a section");

@@ -119,7 +119,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     // A file whose rate differs from that of edits keeps its rate, so that frame numbers refer to the file.
     let file = workshop.clip();
     let skeleton = Skeleton::smplx_neutral();
-    let source = clip_of_file(&file, &skeleton).expect("a clip");
+    let source = clip_of_file(&file, &skeleton).expect("a clip").motion;
     assert_ne!(source.fps().get(), 20.0);
     let (first, end) = (source.len() / 3, 2 * source.len() / 3);
     let motion = file.display();
@@ -129,7 +129,10 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     // The source after a round trip through npz, which turns the axes and turns them back.
     let bytes = formats::write::amass::encode(&source, &skeleton).expect("an archive");
     workshop.put("unedited.npz", bytes);
-    let [unedited, edited] = ["unedited.npz", "timed.npz"]
-        .map(|name| clip_of_file(&workshop.path(name), &skeleton).expect("a clip"));
+    let [unedited, edited] = ["unedited.npz", "timed.npz"].map(|name| {
+        clip_of_file(&workshop.path(name), &skeleton)
+            .expect("a clip")
+            .motion
+    });
     assert_edited_in(&unedited, &edited, std::slice::from_ref(&(first..end)));
 }

@@ -168,3 +168,31 @@ fn what_an_edit_has_no_place_for_is_refused_before_it_begins() {
         assert!(!workshop.path(made).exists(), "{made}");
     }
 }
+
+#[test]
+fn an_edit_replaces_nothing_that_it_reads_and_says_what_it_drops() {
+    let workshop = Workshop::open();
+    workshop.train("motionrefit", "editor", "4").expect_code(0);
+    let clip = workshop.clip();
+    let motion = format!("edit @editor --motion {}", clip.display());
+    let before = fs::read(&clip).expect("a motion");
+    let ran = workshop.typed(&format!(
+        "--json {motion} --text wave --out {}",
+        clip.display()
+    ));
+    let refused: Value = ran.expect_code(1).json();
+    assert_eq!(refused["code"], "E-OCCUPIED", "{refused}");
+    assert!(fs::read(&clip).expect("a motion") == before);
+
+    let long = "wave ".repeat(40);
+    let begun = format!("{motion} --history @layers.json --text '{long}' --text wave");
+    let ran = workshop.typed(&begun).expect_code(0);
+    ran.expect_said("1 instruction has more words than the editor reads");
+    let more = "edit @editor --history @layers.json";
+    workshop.run(&format!("{more} --undo"));
+    let ran = workshop.typed(&format!("{more} --text bow")).expect_code(0);
+    ran.expect_said("1 edits that were taken back are dropped");
+    workshop
+        .typed(&format!("{more} --out @layers.json"))
+        .expect_code(1);
+}

@@ -5,6 +5,7 @@ use std::fs;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::{Skeleton, Split};
 use eval::metric::{Metric, Part, of_part};
@@ -16,7 +17,7 @@ use crate::texts::TextTable;
 use crate::train::Workshop;
 use crate::util::{
     Folder, Ran, arg, assert_has, files_with_extension, json_lines, json_of, len_of, list_of,
-    number_of, put, stance, word_of,
+    number_of, put, rows_of, stance, word_of,
 };
 
 /// Settings of an evaluation encoder that is trained in a second.
@@ -199,6 +200,36 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert_eq!(len_of(&fit), 10);
     let recalls = [0, 1, 2].map(|row: usize| number_of(&fit[row]["mean"]));
     assert!(recalls.is_sorted() && recalls[2] <= 100.0, "{recalls:?}");
+
+    // A caption of a part of a clip is measured with that part alone, and one of no frame is left out and counted.
+    let (dataset, timed) = (bench.path("dataset"), bench.path("timed"));
+    let mut rows: Vec<MotionRow> = rows_of(&dataset);
+    for row in &mut rows {
+        row.captions
+            .iter_mut()
+            .for_each(|caption| caption.to_s = 1.0);
+        row.captions[0].to_s = 0.01;
+    }
+    let of_val = |row: &&MotionRow| row.split == Split::Val;
+    let captions = rows.iter().filter(of_val).map(|row| row.captions.len());
+    let (clips, captions) = (rows.iter().filter(of_val).count(), captions.sum::<usize>());
+    let skeleton = Skeleton::smplx_neutral();
+    commit_rows(
+        &timed,
+        &rows,
+        Some(|row| row.split),
+        &skeleton,
+        "timed",
+        "test",
+    )
+    .expect("written");
+    let ran = bench
+        .typed("eval encoder @timed --encoder @encoder --split val")
+        .expect_code(0);
+    ran.expect_said(&format!(
+        "{clips} captions of parts of fewer than two frames"
+    ));
+    ran.expect_printed(&format!("{} clips", captions - clips));
 
     let differences = |other: &str| -> Vec<Value> {
         let compared: Value = bench.json(&format!(
@@ -674,7 +705,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
 
 #[test]
 fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
-    let bench = Bench::open();
+    let bench = Bench::of_items("24");
     let train = || bench.run("train tmr @dataset --out @weak --steps 1").stdout;
     assert_has(
         &train(),

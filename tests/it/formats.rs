@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, BooleanArray, RecordBatch, StringArray};
+use datasets_spec::flags::FLAG_UP_DOUBTFUL;
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Pose, Skeleton};
 use glam::{DQuat, DVec3, EulerRot};
@@ -15,7 +16,7 @@ use serde_json::Value;
 
 use crate::util::{
     self, arg, assert_counted, assert_has, assert_quarantined, assert_tells, len_of, motions_of,
-    rows_of, skipped_of, stance, typed_with,
+    rows_of, skipped_of, stance, typed, typed_with,
 };
 
 /// A temporary folder, and the path of a folder for sources in it.
@@ -442,4 +443,54 @@ fn motions_of_robots_are_skipped_as_what_they_are() {
     ] {
         assert_has(&skipped[path], &[words, "ingest the human motion"]);
     }
+}
+
+#[test]
+fn the_up_axis_can_be_named_and_is_doubted_where_nobody_stands() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let turned = |degrees: f64| {
+        let turn = DQuat::from_rotation_x(degrees.to_radians());
+        let mut poses = walk(120, 60.0);
+        for pose in &mut poses {
+            pose.rotations[0] = turn * pose.rotations[0];
+            pose.transl = turn * pose.transl;
+        }
+        bvh(100.0, &soma(), &poses, "0.016667")
+    };
+    let source = dir.path().join("files");
+    put(&source, "lying.bvh", turned(90.0));
+    put(&source, "bowing.bvh", turned(50.0));
+    put(&source, "standing.bvh", turned(0.0));
+    // Height of the head above the pelvis on average, and the flags.
+    let read = |name: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        util::ingested(&source, &out, more);
+        let skeleton = Skeleton::smplx_neutral();
+        ["lying", "bowing", "standing"].map(|clip| {
+            let row = &motions_of(&out)[clip];
+            let points = skeleton
+                .motion_keypoints(&row.motion().expect("valid"))
+                .points;
+            let rise = points
+                .iter()
+                .map(|joints| joints[15].y - joints[0].y)
+                .sum::<f64>();
+            let is_doubtful = row.quality.flags & FLAG_UP_DOUBTFUL != 0;
+            (rise / points.len() as f64, is_doubtful)
+        })
+    };
+    // Of a person who lies, the posture says that another axis is up.
+    let [lying, bowing, standing] = read("guessed", &[]);
+    assert!(lying.0 > 0.4 && standing.0 > 0.4, "{lying:?} {standing:?}");
+    assert_eq!([lying.1, bowing.1, standing.1], [false, true, false]);
+    let [lying, bowing, standing] = read("named", &["--up", "y"]);
+    assert!(
+        lying.0.abs() < 0.1 && standing.0 > 0.4,
+        "{lying:?} {standing:?}"
+    );
+    assert_eq!([lying.1, bowing.1, standing.1], [false; 3]);
+    let line = "ingest {} --out {} --up up";
+    let ran = typed(line, &[&source, &dir.path().join("never")]);
+    ran.expect_code(2)
+        .expect_said("expected x, y, z, -x, -y or -z");
 }

@@ -296,7 +296,10 @@ fn two_datasets_merge_and_lose_no_label() {
     ingest(&[&more], &b, &["--seed", "5"], 0);
     let judged_too = judge(&b);
     let out = dir.path().join("both");
-    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out]).done();
+    // The file of the common clip came without its labels.
+    let line = "--json dataset merge {} {} --out {} --take-first";
+    let merged: Value = typed(line, &[&a, &b, &out]).done();
+    assert_eq!(merged["differing"]["captions"], json!([shared_id]));
     verified(&out);
     let (before, after) = (clips(&a), clips(&out));
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
@@ -344,4 +347,33 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
     ingest(&[&source], &fresh, &[], 0);
     stance(&["masks", arg(&fresh)]).expect_code(0);
     assert_eq!(masks(&dataset), masks(&fresh));
+}
+
+#[test]
+fn labels_beside_a_file_that_is_given_alone_are_read_again_when_they_change() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (folder, dataset) = (dir.path().join("clips"), dir.path().join("dataset"));
+    typed("corpus --clips 2 --out {}", &[&folder]).expect_code(0);
+    let file = files_with_extension(&folder, "npz").remove(0);
+    fs::remove_file(file.with_extension("stance.json")).expect("removed");
+    let beside = |name: &str| file.with_file_name(name);
+    let read = || {
+        let grown = ingest(&[&file], &dataset, &[], 0);
+        let row = motions(&dataset).remove(0);
+        let texts = row.captions.into_iter().map(|caption| caption.text);
+        let found = (row.license, row.subject, texts.collect::<Vec<_>>());
+        (len_of(&grown["growth"]["read_again"]), found)
+    };
+    ingest(&[&file], &dataset, &[], 0);
+    assert_eq!(read(), (0, (None, None, vec![])));
+    put(
+        beside("stance.toml"),
+        "license = 'CC0-1.0'\nsubject = 'anna'\n",
+    );
+    let stated = (Some("CC0-1.0".to_owned()), Some("anna".to_owned()));
+    assert_eq!(read(), (1, (stated.0.clone(), stated.1.clone(), vec![])));
+    put(file.with_extension("txt"), "a person bows\n");
+    let all = (stated.0, stated.1, vec!["a person bows".to_owned()]);
+    assert_eq!(read(), (1, all.clone()));
+    assert_eq!(read(), (0, all));
 }

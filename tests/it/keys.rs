@@ -24,7 +24,7 @@ fn ingest(sources: &[impl AsRef<OsStr>], out: &Path) -> Value {
 }
 
 /// Split of every motion by its content hash. Checks that equal motions share a split.
-fn splits(dataset: &Path) -> BTreeMap<String, Split> {
+pub(crate) fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     let mut splits = BTreeMap::new();
     for row in rows_of::<MotionRow>(dataset) {
         let before = splits.insert(row.content_hash, row.split);
@@ -35,7 +35,7 @@ fn splits(dataset: &Path) -> BTreeMap<String, Split> {
 
 /// Writes `count` pairs of MotionFix with keys from 0, and returns the keys. Pair number N, counted from `first`, has
 /// the motions 2 N and 2 N + 1.
-fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String> {
+pub(crate) fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String> {
     let keys: Vec<String> = (0..count).map(|key| format!("{key:06}")).collect();
     let pairs = keys.iter().zip(first..).map(|(key, number)| {
         let words = format!("raise your arm {number} times");

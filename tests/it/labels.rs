@@ -420,3 +420,25 @@ fn rates_that_single_precision_rounds_pass_verify_and_those_out_of_bounds_are_re
     assert_eq!(rows[0].code, "E-TOO-LARGE");
     assert_has(&rows[0].reason, &["choose a lower rate"]);
 }
+
+#[test]
+fn lines_that_contradict_each_other_are_reported() {
+    let sources = Sources::new();
+    sources.motions("walk run");
+    sources.write(
+        "captions.csv",
+        "clip,text,subject,split\nwalk,he walks,anna,train\nwalk,he strides,bert,test\n\
+         run,he runs,carl,test\nrun.bvh,he jogs,carl,train\nw*,he goes,dora,\n",
+    );
+    let (document, rows) = sources.ingest("out", &[]);
+    assert_eq!(
+        problems(&document),
+        [
+            "captions.csv: line 3: split test was not used: line 2 says train of the same motion",
+            "captions.csv: line 3: subject bert was not used: line 2 says anna of the same motion",
+            "captions.csv: line 5: split train was not used: line 4 says test of the same motion",
+        ]
+    );
+    assert_eq!(rows["walk"].subject.as_deref(), Some("anna"));
+    assert_eq!(texts(&rows["walk"]), ["he walks", "he strides", "he goes"]);
+}

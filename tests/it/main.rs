@@ -34,6 +34,7 @@ mod names;
 mod novelty;
 mod occupied;
 mod pairs;
+mod published;
 mod query;
 mod ranges;
 mod reasons;

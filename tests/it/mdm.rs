@@ -1,7 +1,7 @@
 //! MDM through the command line: trained on captions, it edits body parts and is ranked in a table.
 
-use datasets_spec::Skeleton;
-use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::{Skeleton, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value;
 
@@ -28,6 +28,16 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
     let done = bench.trained("mdm", "mdm", SMALL, "--steps 3");
     assert_eq!(done["steps"], 3);
     assert_eq!(done["is_complete"], true);
+    // Clips that are too short for its windows are counted.
+    let clips: Vec<MotionRow> = bench.rows("dataset");
+    let is_of = |row: &&MotionRow| row.split == Split::Train && !row.captions.is_empty();
+    let lengths: Vec<i32> = clips.iter().filter(is_of).map(|row| row.n_frames).collect();
+    let least = 1 + lengths.iter().max().expect("clips") / 2;
+    let few = format!("min_frames = {least}\n{SMALL}");
+    let done = bench.trained("mdm", "long", &few, "--steps 1");
+    let short = lengths.iter().filter(|frames| **frames <= least).count();
+    assert_eq!(done["left_out"], short, "{done}");
+    assert_ne!(short, 0);
 
     let settings = ["--release", "0", "--guidance", "2"];
     let out = bench.answers("mdm", "items", "parts", &settings);

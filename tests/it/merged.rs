@@ -12,10 +12,13 @@ use datasets_spec::{Dataset, MotionId};
 use pickle::Value as Pickled;
 use serde_json::{Value, json};
 
-use crate::annotate::{accept, from_json, settings};
+use crate::annotate::{accept, from_json, judge_lines, settings};
 use crate::grown::{clips, files, ingest, judge, masks, verified};
 use crate::pairs::motionfix_motion;
-use crate::util::{arg, assert_has, len_of, put, rows_of, stance, text_of, typed};
+use crate::util::{
+    Folder, arg, assert_has, everything, files_with_extension, json_of, len_of, put, rows_of,
+    stance, text_of, typed,
+};
 
 /// A folder of clips of the built-in corpus, and a dataset of it with automatic masks and pairs.
 fn labelled(dir: &Path, name: &str, seed: &str) -> PathBuf {
@@ -62,7 +65,7 @@ fn pairs(dataset: &Path) -> BTreeMap<String, PairRow> {
 
 fn rejected(dataset: &Path) -> RejectedPairs {
     let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.manifest().rejected_pairs()
+    dataset.manifest().rejected_pairs().expect("a list")
 }
 
 /// Merges two datasets, checks that the result passes `verify`, and returns the document and what was said.
@@ -110,6 +113,62 @@ fn what_people_judged_stands_alone_after_a_merge_with_a_copy() {
         // No stage makes the rejected pair again.
         stance(&["pairs", arg(&out)]).expect_code(0);
         assert_eq!(pairs(&out), paired, "{name}");
+    }
+}
+
+#[test]
+fn datasets_that_describe_a_clip_differently_are_not_merged_unasked() {
+    let dir = Folder::empty();
+    dir.run("corpus --clips 6 --out @source");
+    dir.run("ingest @source --out @first");
+    let sidecar = files_with_extension(&dir.path("source"), "json").remove(0);
+    let mut stated: Value = json_of(&sidecar);
+    stated["license"] = json!("CC-BY-NC-4.0");
+    stated["captions"] = json!([]);
+    put(&sidecar, stated.to_string());
+    dir.run("ingest @source --out @second");
+    let merge =
+        |names: &str, more: &str| dir.typed(&format!("--json dataset merge {names} {more}"));
+    for names in ["@first @second", "@second @first"] {
+        let refused = merge(names, "--out @never").refusal();
+        assert_has(
+            &refused,
+            &["captions of 1 (such as ", "license of 1", "--take-first"],
+        );
+    }
+    let done: Value = merge("@first @second", "--take-first --out @one").done();
+    let differing = done["differing"].as_object().expect("a map");
+    let fields: Vec<&str> = differing.keys().map(String::as_str).collect();
+    assert_eq!(fields, ["captions", "license"]);
+    assert_eq!(clips(&dir.path("one")), clips(&dir.path("first")));
+    let done: Value = merge("@first @first", "--out @same").done();
+    assert_eq!(done["differing"], json!({}));
+}
+
+#[test]
+fn a_list_of_rejections_in_an_unknown_form_is_not_taken_for_none() {
+    let dir = Folder::empty();
+    dir.run("corpus --clips 6 --out @source");
+    dir.run("ingest @source --out @dataset");
+    dir.run("masks @dataset");
+    let file = dir.path("dataset/meta/manifest-2.json");
+    let mut manifest: Value = json_of(&file);
+    manifest["facts"]["rejected_masks"] = json!(r#"{"format":2,"lists":{}}"#);
+    put(&file, manifest.to_string());
+    dir.run("masks @dataset --drafts @lines.jsonl");
+    let before = everything(&dir.path("dataset/data"));
+    for line in [
+        "masks @dataset --add",
+        "masks @dataset --accept @lines.jsonl --author ann",
+        "dataset restore @dataset --to 1",
+    ] {
+        let refused = dir.typed(line).refusal();
+        assert_has(
+            &refused,
+            &["rejected_masks in a form that this program does not know"],
+        );
+        assert!(everything(&dir.path("dataset/data")) == before, "{line}");
+        assert!(!dir.path("dataset/meta/manifest-3.json").exists(), "{line}");
     }
 }
 
@@ -251,9 +310,11 @@ fn masks_that_people_rejected_stay_out_until_they_are_replaced() {
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
     assert_eq!(masks(&dataset).len(), kept.len());
     let out = dir.path().join("merged");
-    let (done, said) = merged(&copy, &dataset, &out);
-    assert_eq!(done["rejected"], json!(rejected));
-    assert_has(&said, &["masks that people rejected left"]);
+    let line = "--json dataset merge {} {} --out {} --take-first";
+    let ran = typed(line, &[&copy, &dataset, &out]).expect_code(0);
+    ran.expect_said("masks that people rejected left");
+    assert_eq!(ran.json::<Value>()["rejected"], json!(rejected));
+    verified(&out);
     stance(&["masks", arg(&out), "--add"]).expect_code(0);
     assert_eq!(masks(&out).len(), kept.len());
     typed("--json dataset restore {} --to 3", &[&dataset]).expect_code(0);
@@ -261,6 +322,60 @@ fn masks_that_people_rejected_stay_out_until_they_are_replaced() {
 
     stance(&["masks", arg(&dataset), "--replace"]).expect_code(0);
     assert_eq!(masks(&dataset).len(), automatic.len());
+}
+
+#[test]
+fn what_people_rejected_in_a_dataset_goes_along_when_it_is_a_source() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dataset = labelled(dir.path(), "dataset", "0");
+    annotated(&dataset);
+    let first = masks(&dataset)
+        .into_values()
+        .find(|mask| mask.text_origin != "human");
+    let first = first.expect("a mask that nobody judged");
+    judge_lines(&dataset, "ben", |line| {
+        if line["mask"] == first.id.as_str() {
+            line["verdict"] = json!("reject");
+        }
+    })
+    .expect_code(0);
+    let out = dir.path().join("out");
+    ingest(&[&dataset], &out, &[], 0);
+    let (before, paired) = (masks(&out), pairs(&out));
+    assert!(!before.contains_key(&first.id));
+    assert_eq!(rejected(&out), rejected(&dataset));
+    stance(&["masks", arg(&out), "--add"]).expect_code(0);
+    stance(&["pairs", arg(&out)]).expect_code(0);
+    assert_eq!(masks(&out), before);
+    assert_eq!(pairs(&out), paired);
+}
+
+#[test]
+fn a_mask_that_people_rejected_after_others_had_accepted_it_does_not_come_back() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dataset = labelled(dir.path(), "dataset", "0");
+    let first = masks(&dataset).into_values().next().expect("a mask");
+    let judged = |author: &str, verdict: &str| {
+        judge_lines(&dataset, author, |line| {
+            if line["mask"] == first.id.as_str() {
+                line["verdict"] = json!(verdict);
+            }
+        })
+        .expect_code(0);
+    };
+    judged("ann", "accept");
+    let accepted = masks(&dataset);
+    assert_eq!(accepted[&first.id].author, "ann");
+    let version = Dataset::open(&dataset)
+        .expect("a dataset")
+        .manifest()
+        .version;
+    judged("ben", "reject");
+    let number = version.to_string();
+    let done: Value = typed("--json dataset restore {} --to {}", &[&dataset, &number]).done();
+    assert_eq!(done["rejected"], json!([first.id]));
+    assert!(!masks(&dataset).contains_key(&first.id));
+    assert_eq!(masks(&dataset).len(), accepted.len() - 1);
 }
 
 #[test]

@@ -94,6 +94,27 @@ fn items_and_edits_take_the_place_of_none_but_their_own() {
 }
 
 #[test]
+fn items_recordings_and_scores_keep_out_of_datasets() {
+    let bench = Bench::open();
+    bench.edits("edits", &[]);
+    let before = root_hash_of(&bench.path("dataset"));
+    for (line, what) in [
+        ("items @dataset --count 4", "items"),
+        ("triplets @dataset --count 4", "triplets"),
+        ("triplets @dataset --windows 4", "windows"),
+        ("eval @edits --items @items --encoder @encoder", "scores"),
+    ] {
+        let ran = bench.typed(&format!("--json {line} --out @dataset"));
+        let ran = ran.expect_code(1);
+        assert_eq!(ran.json::<Value>()["code"], "E-OCCUPIED", "{ran}");
+        ran.expect_said(&format!(
+            "and {what} do not belong beside it; name another folder"
+        ));
+        assert_eq!(root_hash_of(&bench.path("dataset")), before);
+    }
+}
+
+#[test]
 fn times_and_warnings_stay_with_their_edits_and_untimed_systems_have_no_row() {
     let bench = Bench::open();
     train_nearest(&bench);

@@ -234,7 +234,12 @@ fn pairs_made_again_stay_as_people_judged_them() {
 
     // No list does either.
     let manifest = Dataset::open(&dataset).expect("opens").manifest().clone();
-    let rejected: Vec<[MotionId; 2]> = manifest.rejected_pairs().into_values().flatten().collect();
+    let rejected: Vec<[MotionId; 2]> = manifest
+        .rejected_pairs()
+        .expect("a list")
+        .into_values()
+        .flatten()
+        .collect();
     let [[original, styled]] = &rejected[..] else {
         panic!("{rejected:?}")
     };

@@ -84,6 +84,26 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     let ranges = faster.filter_map(|mask| mask.start.zip(mask.end));
     assert_eq!(ranges.collect::<Vec<_>>(), vec![(8, 68); tested.len()]);
 
+    // So it has in a release, whose motions are at 20 fps, and after the dataset itself is read again at another rate.
+    folder.run("export @faster --to stance --out @released");
+    folder.run("ingest @released --out @slower");
+    let of = |dataset: &str| -> Vec<(i32, i32)> {
+        let ranges = masks(dataset).into_iter();
+        ranges.filter_map(|mask| mask.start.zip(mask.end)).collect()
+    };
+    assert_eq!(of("slower"), vec![(5, 45); tested.len()]);
+    folder.run("ingest @corpus --out @dataset --fps 30 --new-version");
+    assert_eq!(of("dataset"), vec![(8, 68); tested.len()]);
+    folder.run("verify @dataset");
+    // At 10 fps, 40 frames are 20, which are too few for a mask.
+    let line = "ingest @corpus --out @dataset --fps 10 --new-version";
+    let refused = folder.typed(line).refusal();
+    assert!(refused.contains("--drop-labels"), "{refused}");
+    assert_eq!(of("dataset"), vec![(8, 68); tested.len()]);
+    folder.run(&format!("{line} --drop-labels"));
+    assert_eq!(of("dataset"), vec![]);
+    folder.run("verify @dataset");
+
     // A range outside its clip is left out and reported by name; the other ranges are imported.
     let lines = folder.text("exported/masks.jsonl");
     let wrong = lines.replacen("\"end\":45", "\"end\":4500", 1);
@@ -93,6 +113,6 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         .typed("--json ingest @exported --out @rest")
         .to_string();
     assert!(told.contains("ends at frame 4500"), "{told}");
-    assert_eq!(masks("rest").len(), masks("dataset").len() - 1);
+    assert_eq!(masks("rest").len(), masks("again").len() - 1);
     folder.run("verify @rest");
 }

@@ -176,7 +176,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
 
 #[test]
 fn a_system_behind_the_identity_editor_is_never_best() {
-    let bench = Bench::open();
+    let bench = Bench::of_items("24");
     // The edits are the sources raised by five metres, so they are farther from every target than the sources.
     bench.edits("lifted", &["--name", "lifted"]);
     let mut rows: Vec<EditRow> = bench.rows("lifted");

@@ -100,11 +100,21 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     assert_eq!(frozen["encoder_hash"], "letters");
     assert_eq!(frozen["width"], WIDTH);
 
+    let run = workshop.path("editor");
+    // A training that is refused leaves the vectors of the run as they are.
+    let (part, vectors) = (workshop.path("part"), run.join("embeddings.safetensors"));
+    let line = "dataset select {} --where {} --out {}";
+    typed(line, &[&dataset, &"n_frames > 100", &part]).expect_code(0);
+    let stored = fs::read(&vectors).expect("vectors");
+    let line = "train motionrefit {} --out {} --steps 4";
+    let told = ["--config", arg(&settings), "--text-encoder", arg(&table)];
+    typed_with(line, &[&part, &run], &told).expect_refused("dataset_hash");
+    assert!(fs::read(&vectors).expect("vectors") == stored);
+
     // The run stores the vectors of the dataset's instructions.
     let items = workshop.path("items");
     let line = "items {} --split val --count 3 --out {}";
     typed(line, &[&dataset, &items]).expect_code(0);
-    let run = workshop.path("editor");
     let clip = workshop.clip();
     let items = ["--items", arg(&items)];
     let spin = ["--motion", arg(&clip), "--text", "Spin twice."];

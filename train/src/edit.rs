@@ -226,6 +226,7 @@ impl EditSystem for MotionRefitSystem {
         };
         Remarks {
             num_short: motions.iter().filter(is_short).count(),
+            num_cut: record.text.num_cut(texts),
             unknown_words: record.text.unknown_words(texts),
         }
     }

@@ -18,6 +18,7 @@ use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::schedule::Schedule;
 use crate::text::FrozenText;
+use crate::text::source::keep_vectors;
 use crate::text::table::EmbeddingTable;
 pub use crate::trainer::TrainReport;
 use crate::trainer::{Task, train};
@@ -184,6 +185,14 @@ impl TextRecord {
         }
     }
 
+    /// Number of texts whose last words the learned encoder does not read; 0 for a frozen encoder.
+    pub(crate) fn num_cut(&self, texts: &[&str]) -> usize {
+        match self {
+            Self::Learned(vocabulary) => texts.iter().filter(|text| vocabulary.cuts(text)).count(),
+            Self::Frozen { .. } => 0,
+        }
+    }
+
     /// Selects how instructions are encoded for the network.
     pub(crate) fn texts<'a>(
         &'a self,
@@ -275,6 +284,7 @@ pub fn train_motionrefit<'a>(
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
         .trained_in(session);
     let run = Run::open(start, &document)?;
+    keep_vectors(corpus.vectors, run.dir())?;
     let objective = Objective {
         schedule: &schedule,
         extrapolation: record.extrapolation.as_ref(),

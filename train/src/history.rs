@@ -213,7 +213,7 @@ impl EditHistory {
         }
     }
 
-    /// Adds an edit. Undone edits are discarded.
+    /// Adds an edit in the place of undone ones, which are dropped. Returns their number.
     pub fn push(
         &mut self,
         instructions: Vec<TimedInstruction>,
@@ -221,7 +221,8 @@ impl EditHistory {
         guidance: f64,
         system: &SystemIdentity,
         edited: &Edited,
-    ) {
+    ) -> usize {
+        let dropped = self.edits.len() - self.held;
         self.edits.truncate(self.held);
         self.edits.push(HistoryStep {
             instructions,
@@ -234,6 +235,7 @@ impl EditHistory {
             result: StoredMotion::of(&edited.motion),
         });
         self.held += 1;
+        dropped
     }
 
     /// Undoes the last edit; false if there is none.

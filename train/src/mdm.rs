@@ -20,6 +20,7 @@ use crate::model::pass::Pass;
 use crate::sample::noise::normal;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
+use crate::text::source::keep_vectors;
 use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
@@ -187,6 +188,7 @@ pub fn train_mdm<'a>(
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
         .trained_in(session);
     let run = Run::open(start, &document)?;
+    keep_vectors(corpus.vectors, run.dir())?;
     let seed = Seed(config.run.seed);
     let sampler = |clips, name| CropSampler {
         clips,
@@ -223,7 +225,8 @@ pub fn train_mdm<'a>(
         validation: val_batches.collect::<Result<_, Error>>()?,
     };
     let network = |device: &Device| record.network(device);
-    Ok(trainer::train(&task, network, &run, session)?.1)
+    let report = trainer::train(&task, network, &run, session)?.1;
+    Ok(report.without((corpus.train.len() - train.len()) as u64))
 }
 
 /// Motions with their captions, and all random draws of a training step.

@@ -163,6 +163,9 @@ pub struct Remarks {
     /// Number of motions shorter than a window. They are edited with copies of their last pose, which are cut off
     /// again.
     pub num_short: usize,
+    /// Number of instructions with more words than the system reads.
+    #[serde(default)]
+    pub num_cut: usize,
     /// Words of the instructions that did not occur in the system's training.
     pub unknown_words: BTreeSet<String>,
 }
@@ -206,6 +209,15 @@ impl Remarks {
                 match self.num_short {
                     1 => "1 motion is".to_owned(),
                     many => format!("{many} motions are"),
+                }
+            ));
+        }
+        if self.num_cut > 0 {
+            lines.push(format!(
+                "{} more words than the editor reads: the last ones change nothing",
+                match self.num_cut {
+                    1 => "1 instruction has".to_owned(),
+                    many => format!("{many} instructions have"),
                 }
             ));
         }

@@ -54,14 +54,24 @@ pub struct TrainReport {
     pub samples_per_sec: f64,
     /// Share of the training time in this session that was spent waiting for data.
     pub data_wait_share: f64,
+    /// Number of training clips, and of captions of a part of one, that are too short for the model and were not used.
+    pub left_out: u64,
 }
 
 impl TrainReport {
+    /// The report of a training for which some more clips were too short.
+    pub(crate) fn without(self, count: u64) -> Self {
+        Self {
+            left_out: self.left_out + count,
+            ..self
+        }
+    }
+
     /// The report in one line.
     pub fn summary(&self, run: &Path) -> String {
         let loss = |loss: Option<f64>| loss.map_or("-".to_owned(), |loss| format!("{loss:.4}"));
         format!(
-            "{} steps{}, {} parameters, loss {} -> {}, best validation {} at step {}, {:.0} samples/s, {:.1} % of the time waiting for data; in {}",
+            "{} steps{}, {} parameters, loss {} -> {}, best validation {} at step {}, {:.0} samples/s, {:.1} % of the time waiting for data{}; in {}",
             self.steps,
             if self.is_complete { "" } else { " (stopped)" },
             self.num_parameters,
@@ -71,6 +81,10 @@ impl TrainReport {
             self.best_step,
             self.samples_per_sec,
             100.0 * self.data_wait_share,
+            match self.left_out {
+                0 => String::new(),
+                count => format!(", {count} captioned clips too short and not used"),
+            },
             run.display()
         )
     }
@@ -381,6 +395,7 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
             best_step: state.best_step,
             samples_per_sec: self.whole.samples_per_sec(self.task.run.batch_size),
             data_wait_share: self.whole.wait_share(),
+            left_out: 0,
         })
     }
 }

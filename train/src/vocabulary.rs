@@ -118,6 +118,11 @@ impl Vocabulary {
         unknown
     }
 
+    /// Whether a text has more than `max_words` words: the others are not read.
+    pub fn cuts(&self, text: &str) -> bool {
+        words_of(text).nth(self.max_words).is_some()
+    }
+
     fn token(&self, word: &str) -> usize {
         match self
             .words
@@ -154,6 +159,11 @@ mod tests {
             "the text is read up to its sixth word"
         );
         assert!(known.unknown_words("the arm").is_empty());
+        let [six, seven] = [
+            "Wave the left arm, the arm",
+            "Wave the left arm, the arm, slowly",
+        ];
+        assert_eq!([six, seven].map(|text| known.cuts(text)), [false, true]);
     }
 
     fn small() -> Vocabulary {

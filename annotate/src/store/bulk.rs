@@ -128,6 +128,9 @@ fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Re
     if *held {
         return Ok(Err("held"));
     }
+    if task.changed && request.action == BulkAction::Accept {
+        return Ok(Err("clip_changed"));
+    }
     if *own && !turn.settings.solo && request.action != BulkAction::Assign {
         return Ok(Err("own_work"));
     }

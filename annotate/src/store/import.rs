@@ -36,6 +36,7 @@ impl Store {
             done.known += some.known;
             done.filled += some.filled;
             done.conflicts.extend(some.conflicts);
+            done.earlier.extend(some.earlier);
             done.others.extend(some.others);
         }
         Ok(done)
@@ -118,7 +119,14 @@ fn fill(
     )?;
     let task = rows::task(tx, id)?;
     if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
-        done.conflicts.push(new.key.clone());
+        let ever = read::answers_ever(tx, id)?;
+        let had_it = ever.iter().any(|ours| answer::says(ours, answer));
+        let keys = if had_it {
+            &mut done.earlier
+        } else {
+            &mut done.conflicts
+        };
+        keys.push(new.key.clone());
         return Ok(());
     }
     let body = Body::Filled {

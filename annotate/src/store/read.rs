@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Params, Result, Tx, params};
+use super::db::{Params, Result, Tx, params, unreadable};
+use super::entry::Body;
 use super::filter::{Values, like};
 use super::project;
 use super::records::{
@@ -73,6 +74,11 @@ impl Store {
     /// The accepted answer to a task.
     pub fn accepted_answer(&self, task: i64) -> Result<Option<Answer>> {
         self.read(|tx| accepted_answer(tx, task))
+    }
+
+    /// All answers that a task ever had: imported, submitted and merged ones.
+    pub(crate) fn answers_ever(&self, task: i64) -> Result<Vec<Answer>> {
+        self.read(|tx| answers_ever(tx, task))
     }
 
     /// Accepted answers that match a filter.
@@ -284,6 +290,23 @@ fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool> {
 /// The accepted answer to a task.
 pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answer>> {
     tx.find("SELECT answer FROM accepted WHERE task = ?1", params![task])
+}
+
+/// All answers that a task ever had: imported, submitted and merged ones.
+pub(super) fn answers_ever(tx: &mut dyn Tx, task: i64) -> Result<Vec<Answer>> {
+    let sql = "SELECT body FROM event WHERE task = ?1 AND kind IN ('imported', 'filled', 'submitted', 'merged')";
+    let bodies: Vec<serde_json::Value> = tx.list(sql, params![task])?;
+    let answers = bodies.into_iter().map(|body| {
+        let body = serde_json::from_value(body).map_err(|error| unreadable("event", error))?;
+        Ok(match body {
+            Body::Imported { task } => task.accepted,
+            Body::Filled { answer, .. }
+            | Body::Submitted { answer, .. }
+            | Body::Merged { answer, .. } => Some(answer),
+            _ => None,
+        })
+    });
+    answers.filter_map(Result::transpose).collect()
 }
 
 /// The comment of the last decision of a kind on a user's answer to a task.

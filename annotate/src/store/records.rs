@@ -333,6 +333,8 @@ pub struct Imported {
     pub filled: i64,
     /// Keys of tasks whose imported answer was skipped, because the task already has an answer or a decision.
     pub conflicts: Vec<String>,
+    /// Keys of further such tasks, which once had the imported answer.
+    pub earlier: Vec<String>,
     /// Keys under which a task about other motions existed. It stays as it was, and what was imported is skipped.
     pub others: Vec<String>,
 }

@@ -189,10 +189,11 @@ pub(super) fn on_answer(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<()> {
     Ok(())
 }
 
-/// Waiting tasks that rules may decide, with ids above `after` up to `up_to`.
+/// Waiting tasks that rules may decide, with ids above `after` up to `up_to`. Answers to a clip that was ingested anew since
+/// are about another motion: a reviewer decides about them.
 fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<TaskRecord>> {
     let condition = format!(
-        "t.state = 'submitted' AND t.gold IS NULL AND t.id > ?1 AND t.id <= ?2 AND {UNTOUCHED} ORDER BY t.id LIMIT ?3"
+        "t.state = 'submitted' AND t.gold IS NULL AND t.changed = 0 AND t.id > ?1 AND t.id <= ?2 AND {UNTOUCHED} ORDER BY t.id LIMIT ?3"
     );
     rows::tasks(tx, &condition, params![after, up_to, limit])
 }

@@ -31,9 +31,14 @@ pub fn from_annotations(
     let rows: Vec<AnnotationRow> = read_rows(path)?;
     let mut taken = Taken::default();
     let (mut tasks, mut by_id) = (Vec::new(), 0);
-    for group in rows.chunk_by(|a, b| a.task == b.task) {
+    let mut groups: BTreeMap<String, Vec<AnnotationRow>> = BTreeMap::new();
+    for row in rows {
+        groups.entry(row.task.clone()).or_default().push(row);
+    }
+    for mut group in groups.into_values() {
+        group.sort_by_key(|row| row.number);
         let what = || format!("task {:?} of {}", group[0].task, path.display());
-        let task = annotation_task(group, &motions);
+        let task = check_whole(&group).and_then(|()| annotation_task(&group, &motions));
         tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
         by_id += usize::from(group[0].motion_hash.is_none());
     }
@@ -90,6 +95,20 @@ fn annotation_task(
     let accepted_by = first.accepted_by.as_deref();
     new.credit = credit(&first.author, first.merged != 0, accepted_by);
     Ok(new)
+}
+
+/// Refuses the rows of an answer, sorted by number, some of which the table lacks.
+fn check_whole(rows: &[AnnotationRow]) -> Result<(), String> {
+    let count = rows[0].count;
+    let expected = 0..count.max(1);
+    match rows.iter().all(|row| row.count == count)
+        && rows.iter().map(|row| row.number).eq(expected)
+    {
+        true => Ok(()),
+        false => Err(format!(
+            "the table does not have the {count} rows of its answer, numbered from 0; import the table as it was exported"
+        )),
+    }
 }
 
 /// Refuses masks of another version of the mask definition, and parts that this program does not know.

@@ -59,7 +59,8 @@ impl Taken {
     }
 
     /// Adds the counts and conflicts of an import of answers. Conflicts about other clips are also counted apart.
-    pub(super) fn take(&mut self, done: Imported) {
+    pub(super) fn take(&mut self, mut done: Imported) {
+        done.conflicts.append(&mut done.earlier);
         self.count("new_tasks", done.new);
         self.count("filled_tasks", done.filled);
         self.count("known_tasks", done.known);
@@ -270,17 +271,26 @@ pub fn from_dataset(
         tasks.extend(bundled(&name, list));
     }
     let total = tasks.len() as i64;
-    let (mut seen, mut others) = (0, Vec::new());
+    let (mut seen, mut others, mut conflicts) = (0, Vec::new(), Vec::new());
     for chunk in tasks.chunks(2000) {
         let done = store.import(actor, chunk.to_vec(), now)?;
         taken.count("new_tasks", done.new);
         taken.count("filled_tasks", done.filled);
-        // The dataset may contain an earlier export of this store. Later decisions are kept, without a message.
-        taken.count("known_tasks", done.known + done.conflicts.len() as i64);
+        // The dataset may contain an earlier export of this store, whose answers are known.
+        taken.count("known_tasks", done.known + done.earlier.len() as i64);
         others.extend(done.others);
+        conflicts.extend(done.conflicts);
         seen += chunk.len() as i64;
         progress(seen, total);
     }
+    taken.report("conflicts", conflicts.len(), || {
+        format!(
+            "{} tasks have labels in the dataset that people accepted outside this project, for example {}; the project \
+             keeps its own answers, and its exports leave such masks as they are",
+            conflicts.len(),
+            conflicts[0]
+        )
+    });
     taken.report_others(
         &others,
         "the dataset",

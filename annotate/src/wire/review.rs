@@ -268,7 +268,8 @@ messages! {
         /// Tasks changed, or that would be changed.
         pub done: i64,
         /// Unchanged tasks, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`,
-        /// `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it).
+        /// `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it), `clip_changed`
+        /// (the clip was ingested anew after the answers, so a reviewer has to see them).
         pub left_alone: BTreeMap<String, i64>,
         /// Value of `after` for the next request; `null` once all are done.
         pub next: Option<i64>,

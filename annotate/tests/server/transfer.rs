@@ -11,7 +11,7 @@ use annotate::transfer::{
 };
 use annotate::wire::{
     Answer, Audit, Code, Decision, EventKind, ExportFormat, ExportRequest, Job, NewReview,
-    ReviewQueue, Role, TaskKind, TaskState, Verdict,
+    ReviewQueue, Role, Rule, RuleKind, TaskKind, TaskState, Verdict,
 };
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows, write_rows};
@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use crate::support::{
     CLIPS, Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, claim, commit, decision,
     event_of, from_json, join, masks, motion, motion_row, pair, peak_memory_mb, plain_settings,
-    read, review, say, style, tell, whole,
+    read, review, rule, say, set, style, tell, whole,
 };
 
 pub(crate) fn finished(boss: &Client, id: i64) -> Job {
@@ -231,6 +231,24 @@ fn parquet_and_a_release_come_back_as_they_went_from_a_store_with_tasks_or_witho
     let by_id = ["found_by_id_alone", "known_tasks", "conflicts"];
     assert_eq!(counted(old, by_id), [6, 6, 0]);
     whole(&store);
+
+    // Rows in another order say the same; a table that lacks some of an answer's rows is refused.
+    let file = site.folder.path().join("sorted.parquet");
+    let mut sorted = annotations.clone();
+    sorted.sort_by(|a, b| (&b.parts, &b.task).cmp(&(&a.parts, &a.task)));
+    let store = empty_store(&site, "sorted.sqlite");
+    take_without_hashes(&store, &sorted, &file);
+    assert_eq!(answers(&store), said);
+    sorted.retain(|row| (row.count, row.number) != (2, 1));
+    let bytes = write_rows(Vec::new(), &file, &sorted, &[]).expect("a table");
+    std::fs::write(&file, bytes).expect("written");
+    let store = empty_store(&site, "fewer.sqlite");
+    let refused = from_annotations(&store, &file, None, START).expect_err("a row is missing");
+    assert!(
+        refused.to_string().contains("the 2 rows of its answer"),
+        "{refused}"
+    );
+    assert!(answers(&store).is_empty());
 
     let first = write(&site, &site.store, "release", ExportFormat::Stance);
     let document = release(&first);
@@ -509,7 +527,11 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
     let [before, theirs] = [rejected, other].map(|place| clips(&pairs[place]));
     let listed = || -> Vec<(String, [MotionId; 2])> {
         let dataset = Dataset::open(&site.dataset).expect("a dataset");
-        let all = dataset.manifest().rejected_pairs().into_iter();
+        let all = dataset
+            .manifest()
+            .rejected_pairs()
+            .expect("a list")
+            .into_iter();
         all.flat_map(|(store, pairs)| pairs.into_iter().map(move |pair| (store.clone(), pair)))
             .collect()
     };
@@ -1076,4 +1098,43 @@ fn many_tasks_are_written_as_they_are_read() {
             ));
         }
     }
+}
+
+#[test]
+fn rules_and_bulk_acceptance_leave_answers_to_an_earlier_motion_to_reviewers() {
+    let site = Site::new();
+    let store = site.store.as_ref();
+    let [bob, eve] = [("bob", Role::Annotator), ("eve", Role::Reviewer)]
+        .map(|(name, role)| join(store, name, role));
+    let tasks = [(); 2].map(|()| answer_in(store, bob, Some(masks("sitting"))));
+    let record = |task: i64| store.task_record(task).expect("a task");
+    assert_eq!(
+        tasks.map(|task| record(task).key),
+        ["mask:clip00", "mask:clip01"]
+    );
+    ingest_anew(&site, &[(0, 30)], "anew");
+    take_dataset(&site, store);
+    set(store, |settings| {
+        settings.rules = vec![Rule {
+            review_percent: 0,
+            ..rule("all", RuleKind::Sampled)
+        }];
+    });
+    let who = Who {
+        id: eve,
+        name: "eve".to_owned(),
+        role: Role::Reviewer,
+    };
+    let accept = json!({ "action": "accept", "filter": {}, "comment": "" });
+    let counted = store.preview_bulk(&who, from_json(accept.clone()), START);
+    let counted = counted.expect("counts");
+    assert_eq!((counted.done, counted.left_alone["clip_changed"]), (1, 1));
+    let done = store.apply_rules(0, START).expect("applies");
+    assert_eq!(done.accepted["all"], 1);
+    let done = store.bulk(&who, from_json(accept), START).expect("acts");
+    assert_eq!((done.done, done.left_alone["clip_changed"]), (0, 1));
+    assert_eq!(record(tasks[0]).state, TaskState::Submitted);
+    assert_eq!(record(tasks[1]).state, TaskState::Accepted);
+    let changed = store.changed_tasks().expect("tasks");
+    assert_eq!(changed.len(), 1, "the mark stays");
 }

@@ -9,6 +9,27 @@ use crate::manifest::FileEntry;
 use crate::table::Row;
 use crate::{Error, Skeleton, Split};
 
+/// Refuses a folder that holds other tables than those in `own`. `made` says what is to be written there, in the plural.
+///
+/// # Errors
+/// It holds one, or cannot be read.
+pub fn refuse_others(root: &Path, own: &[&str], made: &'static str) -> Result<(), Error> {
+    let held = match Dataset::open_unverified(root) {
+        Ok(held) => held,
+        Err(Error::NotADataset { .. }) => return Ok(()),
+        Err(error) => return Err(error),
+    };
+    let mut tables = held.manifest().tables.keys();
+    match tables.find(|table| !own.contains(&table.as_str())) {
+        None => Ok(()),
+        Some(table) => Err(Error::Beside {
+            path: root.to_owned(),
+            table: table.clone(),
+            made,
+        }),
+    }
+}
+
 /// Commits a table of rows that are all in memory. If the folder already holds this table, made by the same plan,
 /// nothing is written. `split_of` is `None` for tables without splits.
 ///

@@ -18,7 +18,7 @@ mod tests;
 mod tidy;
 mod transaction;
 
-pub use commit::{commit_rows, commit_table};
+pub use commit::{commit_rows, commit_table, refuse_others};
 pub use layout::{PRIVATE, ShardName};
 pub use open::Dataset;
 pub use shards::{SHARD_ROWS, table_facts};

@@ -148,6 +148,18 @@ impl Transaction {
             facts: BTreeMap::new(),
             root_hash: String::new(),
         });
+        let stays = |table: &String| match commit.fresh {
+            true => commit.carried.contains(table),
+            false => !commit.tables.contains_key(table),
+        };
+        if manifest.skeleton != commit.skeleton.name() && manifest.tables.keys().any(stays) {
+            return Err(Error::Refused(format!(
+                "{} holds motions of skeleton {}, and the new ones are of {}; name another folder",
+                self.root().display(),
+                manifest.skeleton,
+                commit.skeleton.name()
+            )));
+        }
         if commit.fresh {
             manifest
                 .tables
@@ -190,22 +202,25 @@ impl Transaction {
     }
 
     /// Facts of an older version once it is restored: what people rejected since stays rejected.
-    pub fn restored_facts(&self, of: &Manifest) -> BTreeMap<String, String> {
-        let (mut pairs, mut masks) = (of.rejected_pairs(), of.rejected_masks());
+    ///
+    /// # Errors
+    /// As [`Manifest::fact`].
+    pub fn restored_facts(&self, of: &Manifest) -> Result<BTreeMap<String, String>, Error> {
+        let (mut pairs, mut masks) = (of.rejected_pairs()?, of.rejected_masks()?);
         if let Some(base) = &self.base {
-            add_rejected(&mut pairs, base.rejected_pairs());
-            add_rejected(&mut masks, base.rejected_masks());
+            add_rejected(&mut pairs, base.rejected_pairs()?);
+            add_rejected(&mut masks, base.rejected_masks()?);
         }
         let mut facts = of.facts.clone();
-        if pairs != of.rejected_pairs() {
+        if pairs != of.rejected_pairs()? {
             let pairs = serde_json::to_string(&pairs).expect("texts serialise");
             facts.insert(REJECTED_PAIRS_FACT.to_owned(), pairs);
         }
-        if masks != of.rejected_masks() {
+        if masks != of.rejected_masks()? {
             let masks = serde_json::to_string(&masks).expect("texts serialise");
             facts.insert(REJECTED_MASKS_FACT.to_owned(), masks);
         }
-        facts
+        Ok(facts)
     }
 
     /// Makes an older version the newest one, under a new number, with its [`Transaction::restored_facts`]. `tables`
@@ -222,7 +237,7 @@ impl Transaction {
         let mut manifest = of.clone();
         manifest.version = self.version();
         manifest.tool_version = TOOL.to_owned();
-        manifest.facts = self.restored_facts(of);
+        manifest.facts = self.restored_facts(of)?;
         if !tables.is_empty() {
             manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
         }

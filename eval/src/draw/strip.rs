@@ -344,6 +344,9 @@ struct Figure {
     nose: DVec3,
 }
 
+/// Heights of the lowest keypoint up to this one count as the ground, in metres: feet end above their soles.
+const FLOOR_TOLERANCE_M: f64 = 0.1;
+
 impl<'a> Drawn<'a> {
     fn new(row: &'a Row, num_figures: usize, camera: &Camera) -> Self {
         let frames = &row.keypoints.points;
@@ -375,7 +378,8 @@ impl<'a> Drawn<'a> {
         LABEL_LINE * lines(&self.row.label, LABEL_CHARS).len() as f64 + FACTS_HEIGHT
     }
 
-    /// Writes the row's name (wrapped), its duration, and the distance that the body moves over the ground.
+    /// Writes the row's name (wrapped), its duration, the distance that the body moves over the ground, and how far it is
+    /// above or below it.
     fn label(&self, svg: &mut String, middle: f64) {
         let frames = &self.row.keypoints.points;
         let path_m: f64 = frames
@@ -397,7 +401,13 @@ impl<'a> Drawn<'a> {
         }
         let length = format!("{secs:.1} s at {} ", self.row.keypoints.fps);
         write(11.0, FAINT, length.trim_end());
-        write(11.0, FAINT, &format!("moves {path_m:.2} m"));
+        // Each row stands on its own ground, so a motion that floats or sinks must say so.
+        let floor = self.row.floor();
+        let lowest = match floor.abs() > FLOOR_TOLERANCE_M {
+            true => format!(", lowest {floor:+.2} m"),
+            false => String::new(),
+        };
+        write(11.0, FAINT, &format!("moves {path_m:.2} m{lowest}"));
     }
 }
 

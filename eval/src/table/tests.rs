@@ -111,6 +111,11 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
         });
         scores
     };
+    let of_targets = |targets: u32| {
+        let scores = told_apart(12.0, None).into_iter();
+        let scores = scores.map(|row| ScoreRow { targets, ..row });
+        scores.collect::<Vec<_>>()
+    };
     let guesses = Some("it guesses");
     for (scores, weakness, ranks) in [
         (scores.clone(), None, true),
@@ -118,6 +123,9 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
         (told_apart(12.0, None), None, true),
         (told_apart(12.0, Some(12.0)), None, false),
         (told_apart(0.0, None), None, false),
+        (of_targets(1), None, false),
+        (of_targets(9), None, false),
+        (of_targets(10), None, true),
         (told_apart(12.0, Some(1.0)), guesses, false),
     ] {
         let judges = judges(weakness);

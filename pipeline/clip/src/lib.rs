@@ -188,19 +188,10 @@ impl SourceClip {
     /// the new motion, which has `len` frames. A mask whose new range is shorter than [`MaskRow::SHORTEST`] becomes a
     /// note.
     pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
-        let end_of_motion = i32::try_from(len).unwrap_or(i32::MAX);
-        let moved = |frame: &mut i32| {
-            *frame = (place(f64::from(*frame)).round() as i32).clamp(0, end_of_motion);
-            *frame
-        };
         let mut cut_off = Vec::new();
         self.masks.retain_mut(|mask| {
             let row = mask.made.as_mut();
-            let range = row.and_then(|row| row.start.as_mut().zip(row.end.as_mut()));
-            let is_left = range.is_none_or(|(start, end)| {
-                let (start, end) = (moved(start), moved(end));
-                end - start >= MaskRow::SHORTEST
-            });
+            let is_left = row.is_none_or(|row| row.move_range(len, &place));
             if !is_left {
                 cut_off.push(format!(
                     "a mask is left with too few frames, and was dropped: {}",

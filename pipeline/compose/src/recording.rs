@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::dataset::{Commit, SHARD_ROWS, ShardName, Staging, Transaction, table_facts};
+use datasets_spec::dataset::{
+    Commit, SHARD_ROWS, ShardName, Staging, Transaction, refuse_others, table_facts,
+};
 use datasets_spec::manifest::{FileEntry, plan_hash};
-use datasets_spec::record::{NormalizerRow, TripletRow, WindowRow};
+use datasets_spec::record::{NormalizerRow, QuarantineRow, TripletRow, WindowRow};
 use datasets_spec::store::ByPath;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Progress, Seed, Skeleton, Split};
@@ -109,6 +111,7 @@ pub fn record(
     context: &Context<'_>,
 ) -> Result<Dataset, Error> {
     let recording = Recording::open(root, settings, None)?;
+    recording.refuse_others(out)?;
     let transaction = Transaction::begin(out, context.holder)?;
     if recording.is_in(&transaction) {
         drop(transaction);
@@ -151,6 +154,7 @@ pub fn plan_recording(
     out: &Path,
 ) -> Result<work::Plan, Error> {
     let recording = Recording::open(root, settings, None)?;
+    recording.refuse_others(destination)?;
     let newest = Staging::newest(&ByPath, destination)?;
     let stored = Stored {
         dataset: absolute(root)?,
@@ -314,6 +318,17 @@ impl Recording {
             progress.advance(1);
         })?;
         Ok(rows)
+    }
+
+    /// Refuses a folder that holds other tables than those of recordings.
+    fn refuse_others(&self, out: &Path) -> Result<(), Error> {
+        let own = [
+            TripletRow::TABLE,
+            WindowRow::TABLE,
+            NormalizerRow::TABLE,
+            QuarantineRow::TABLE,
+        ];
+        Ok(refuse_others(out, &own, self.settings.kind.table())?)
     }
 
     fn commit(

@@ -187,7 +187,7 @@ impl Motion {
     #[staticmethod]
     fn read(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let skeleton = Arc::new(Skeleton::smplx_neutral());
-        let inner = work::quick(py, || Ok(clip_of_file(&path, &skeleton)?))?;
+        let inner = work::quick(py, || Ok(clip_of_file(&path, &skeleton)?.motion))?;
         Ok(Self::of(inner, &skeleton))
     }
 

@@ -11,8 +11,9 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::{from_six_d_rows, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::options::{AnswerOptions, Place, Up};
+use super::options::{AnswerOptions, Place};
 use super::recorded::{Recorded, VECTORS_WIDTH};
+use formats::source::Up;
 use pickle::joblib;
 use pickle::npy;
 use pickle::npz::Archive;

@@ -29,7 +29,7 @@ use crate::ingest::{guarded, list_files, quarantine_row};
 use file::Kind;
 use recorded::Recorded;
 
-pub use options::{AnswerOptions, Place, Up};
+pub use options::{AnswerOptions, Place};
 
 /// The answers of one system.
 #[derive(Clone, Debug)]

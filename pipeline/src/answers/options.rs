@@ -1,15 +1,7 @@
 //! Options of an import of answers.
 
 use datasets_spec::{Fps, Seed};
-
-/// The vertical axis of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Up {
-    /// y up, as in the store.
-    Y,
-    /// z up, as in AMASS and MotionFix.
-    Z,
-}
+use formats::source::Up;
 
 /// Placement of an answer on the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +23,7 @@ pub struct AnswerOptions {
     pub seed: Seed,
     /// Rate of all answers; it replaces the rates in the files.
     pub fps: Option<Fps>,
-    /// Vertical axis of all answers; `None`: that of each file's format.
+    /// Up axis of all answers; `None`: that of each file's format.
     pub up: Option<Up>,
     /// Placement of all answers; `None`: that of each file's format.
     pub place: Option<Place>,

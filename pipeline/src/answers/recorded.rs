@@ -4,14 +4,14 @@ use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use features::floor;
-use formats::source::smpl;
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::motion::{self, BODY_POSE_WIDTH};
 use kinematics::resample;
 use kinematics::rotation::{self, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::options::{AnswerOptions, Place, Up};
+use super::options::{AnswerOptions, Place};
+use formats::source::Up;
 
 /// Numbers of the rotation vectors of a frame: root and 21 body joints.
 pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
@@ -24,7 +24,7 @@ pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
 pub(super) struct Recorded {
     /// Rate the file states, in 1/s.
     pub(super) fps: Option<f64>,
-    /// The vertical axis of its format.
+    /// The up axis of its format.
     pub(super) up: Up,
     pub(super) place: Place,
     pub(super) transl: Vec<[f64; 3]>,
@@ -122,8 +122,8 @@ impl Recorded {
         let transl: Vec<DVec3> = self.transl.iter().copied().map(DVec3::from_array).collect();
         let mut poses = motion::poses_of(&transl, &self.vectors);
         let rest_pelvis = skeleton.rest(0);
-        if up == Up::Z {
-            let turn = smpl::y_up_from_z_up();
+        if up != Up::Y {
+            let turn = up.turn();
             for pose in &mut poses {
                 pose.rotations[0] = turn * pose.rotations[0];
                 pose.transl = turn * (pose.transl + rest_pelvis) - rest_pelvis;

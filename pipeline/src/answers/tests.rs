@@ -7,6 +7,7 @@ use arrow_array::builder::{
 use arrow_array::{ArrayRef, Float64Array, Int64Array, LargeStringArray, RecordBatch, StringArray};
 use arrow_schema::{DataType, Field};
 use datasets_spec::{Fps, MotionId, NoProgress, Resample, Split};
+use formats::source::Up;
 use glam::{DMat3, DQuat};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;

@@ -23,6 +23,7 @@ use super::left_out::{Exported, put};
 use crate::Error;
 use crate::clips::Clips;
 use crate::names::free;
+use kinematics::resample;
 use pickle::{self, Array, Value};
 
 /// Writes the motions, pairs and masks of a dataset into an empty folder.
@@ -68,6 +69,11 @@ pub(super) fn write(
     let placed = labels.masks.iter().filter(|mask| plan.has_place(mask));
     let masks = labels.masks.len() - placed.count();
     put(&mut done.beside, "masks", masks as u64);
+    put(
+        &mut done.left_out,
+        "masks_of_short_ranges",
+        labels.num_short,
+    );
     let pairs = labels.pairs.len() - plan.num_pairs();
     put(&mut done.beside, "pairs", pairs as u64);
     progress.finish(&format!(
@@ -81,18 +87,39 @@ pub(super) fn write(
 struct Labels {
     ids: BTreeSet<String>,
     masks: Vec<MaskRow>,
+    /// Number of masks whose range is too short at the rate of the layout.
+    num_short: u64,
     /// Pairs whose motions are both chosen.
     pairs: Vec<PairRow>,
 }
 
 impl Labels {
     fn of(clips: &Clips) -> Result<Self, Error> {
-        let mut ids: BTreeSet<String> = BTreeSet::new();
+        // Rate in the dataset and length in the export of each motion.
+        let mut written: BTreeMap<String, (f64, usize)> = BTreeMap::new();
         for shard in clips.shards(None) {
-            ids.extend(shard.column::<String>("id")?);
+            let ids = shard.column::<String>("id")?.into_iter();
+            let (rates, frames) = (
+                shard.column::<f32>("fps")?,
+                shard.column::<i32>("n_frames")?,
+            );
+            for (id, (rate, frames)) in ids.zip(rates.into_iter().zip(frames)) {
+                let fps = Fps::new(f64::from(rate))?;
+                let frames = usize::try_from(frames).unwrap_or(0);
+                let len = resample::grid(frames, fps, Fps::STORE).len();
+                written.insert(id, (fps.get(), len));
+            }
         }
+        let ids: BTreeSet<String> = written.keys().cloned().collect();
         let mut masks = clips.dataset().read::<MaskRow>(None)?;
         masks.retain(|mask| ids.contains(mask.motion_id.as_str()));
+        // Their frames are those of the motions as they are written.
+        let before = masks.len();
+        masks.retain_mut(|mask| {
+            let (fps, len) = written[mask.motion_id.as_str()];
+            mask.move_range(len, |frame| frame * Fps::STORE.get() / fps)
+        });
+        let num_short = (before - masks.len()) as u64;
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
         let mut pairs = clips.dataset().read::<PairRow>(None)?;
         pairs.retain(|pair| {
@@ -100,7 +127,12 @@ impl Labels {
             both.iter().all(|id| ids.contains(id.as_str()))
         });
         pairs.sort_by(|a, b| a.id.cmp(&b.id));
-        Ok(Self { ids, masks, pairs })
+        Ok(Self {
+            ids,
+            masks,
+            num_short,
+            pairs,
+        })
     }
 }
 

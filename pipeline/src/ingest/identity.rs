@@ -323,6 +323,43 @@ impl Plan {
             .collect()
     }
 
+    /// Adds remarks on clips that no list of their release names, and on those that keep another split than the published
+    /// one.
+    pub(super) fn note_unpublished(&mut self) {
+        let mut unlisted: BTreeMap<(&str, &str), usize> = BTreeMap::new();
+        let mut others: Vec<&Planned> = Vec::new();
+        for item in self.items.iter().filter(|item| item.own_split.is_none()) {
+            let publishes = item
+                .release
+                .map(|release| self.releases[release].1.contents().publishes_splits);
+            let publishes = publishes.filter(|lists| !lists.is_empty());
+            match (item.entry.split, publishes) {
+                (Some(split), _) if split != item.split => others.push(item),
+                (None, Some(lists)) => {
+                    let format = (item.format.as_str(), lists);
+                    *unlisted.entry(format).or_default() += 1;
+                }
+                _ => {}
+            }
+        }
+        let unlisted = unlisted.into_iter().map(|((format, lists), count)| {
+            format!("{format}: {count} clips are in none of the lists ({lists}) and have no published split")
+        });
+        let others = others.first().map(|first| {
+            let published = first.entry.split.map_or("", Split::as_str);
+            format!(
+                "{} clips keep the split that they have in the dataset, not the one that their source states (such as {}: {}, stated \
+                 {published}); ingest into another folder, or name the splits by --splits, to take those of the source",
+                others.len(),
+                first.id,
+                first.split,
+            )
+        });
+        let remarks = unlisted.chain(others);
+        let remarks: Vec<String> = remarks.collect();
+        self.notes.remarks.extend(remarks);
+    }
+
     /// Number of releases of the same format that come before one.
     fn number_in_format(&self, release: usize) -> usize {
         let format = self.releases[release].0;

@@ -128,6 +128,17 @@ pub(super) fn of_single_files<'a>(
         .collect()
 }
 
+/// Hash of the inputs of a file with hashes of files beside it, if there are any.
+pub(super) fn with_beside(inputs: &str, beside: &[String]) -> String {
+    match beside.is_empty() {
+        true => inputs.to_owned(),
+        false => {
+            let all = format!("{inputs} {}", beside.join(" "));
+            blake3::hash(all.as_bytes()).to_hex().to_string()
+        }
+    }
+}
+
 pub(super) struct FilesOfRelease<'a> {
     /// By file: the file, and the files of the same name elsewhere in the release.
     pub(super) own: BTreeMap<&'a str, Vec<&'a str>>,

@@ -1,10 +1,12 @@
 //! Labels, rejected items and sources that a growing dataset keeps.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use clip::LabelProblem;
-use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
-use datasets_spec::table::Row;
+use datasets_spec::manifest::FileEntry;
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
+use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{MotionId, Split};
 use formats::source::labels::is_label_file;
 
@@ -13,6 +15,7 @@ use super::growth::{Growth, LostLabel};
 use super::plan::Plan;
 use super::recorded::Recorded;
 use super::sources::SourceLabel;
+use crate::Error;
 use crate::facts::json;
 use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
 
@@ -178,7 +181,92 @@ impl Plan {
     }
 }
 
+/// The rate of the frames of a motion: the stated one, unless its frames take another time in the source, as where the rule
+/// of HumanML3D calls 25 frames a second 20.
+fn true_rate(stated: f64, taken: f64) -> f64 {
+    /// Larger than what rounding to whole frames makes of a second.
+    const TOLERANCE: f64 = 0.1;
+    match (taken / stated - 1.0).abs() > TOLERANCE {
+        true if taken.is_finite() => taken,
+        _ => stated,
+    }
+}
+
+/// Where the frames of a motion lie in its source.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Timing {
+    /// Frames in a second.
+    fps: f64,
+    /// Time of the first frame in the source, in seconds.
+    start_s: f64,
+    num_frames: usize,
+}
+
+impl Timing {
+    /// Those of the clips in some files of table `motions`.
+    pub(super) fn of_files<'a>(
+        root: &Path,
+        files: impl Iterator<Item = &'a FileEntry>,
+    ) -> Result<BTreeMap<MotionId, Self>, Error> {
+        let mut all = BTreeMap::new();
+        for file in files {
+            let shard = ShardReader::open(&root.join(&file.path))?;
+            let ids: Vec<MotionId> = shard.column::<MotionRow, _>("id")?;
+            let [fps, source] =
+                ["fps", "fps_source"].map(|name| shard.column::<MotionRow, f32>(name));
+            let [start, end, frames] = ["start_frame", "end_frame", "n_frames"]
+                .map(|name| shard.column::<MotionRow, i32>(name));
+            let (fps, source) = (fps?, source?);
+            let (start, end, frames) = (start?, end?, frames?);
+            all.extend(ids.into_iter().enumerate().map(|(row, id)| {
+                let (fps, source) = (f64::from(fps[row]), f64::from(source[row]));
+                let (start, end) = (f64::from(start[row]), f64::from(end[row]));
+                let num_frames = usize::try_from(frames[row]).unwrap_or(0);
+                let timing = Self {
+                    fps: true_rate(fps, num_frames as f64 * source / (end - start)),
+                    start_s: start / source,
+                    num_frames,
+                };
+                (id, timing)
+            }));
+        }
+        Ok(all)
+    }
+
+    /// The frame of `now` that shows what `frame` of this motion shows.
+    fn moved(self, frame: f64, now: Self) -> f64 {
+        (self.start_s + frame / self.fps - now.start_s) * now.fps
+    }
+}
+
 impl Labels {
+    /// Whether a mask holds for a range of frames.
+    pub(super) fn have_ranges(&self) -> bool {
+        self.masks.iter().any(|mask| mask.start.is_some())
+    }
+
+    /// Moves the ranges of masks whose clips were read again at another rate, or from another frame of their source on.
+    /// A mask of people that is left with too few frames is lost.
+    pub(super) fn place(
+        &mut self,
+        before: &BTreeMap<MotionId, Timing>,
+        now: &BTreeMap<MotionId, Timing>,
+    ) {
+        for mut mask in std::mem::take(&mut self.masks) {
+            let timings = before.get(&mask.motion_id).zip(now.get(&mask.motion_id));
+            let timings = timings.filter(|(before, now)| before != now);
+            let is_left = timings.is_none_or(|(before, now)| {
+                mask.move_range(now.num_frames, |frame| before.moved(frame, *now))
+            });
+            if is_left {
+                self.masks.push(mask);
+            } else if is_mask_of_people(&mask) {
+                let reason = "too few frames of its range are in the new motion".to_owned();
+                self.lose(MaskRow::TABLE, &mask.id, (&mask.motion_id, reason));
+            }
+        }
+    }
+
     /// Moves the labels into the splits of their clips. Pairs whose clips are now in two splits are lost.
     pub(super) fn follow(&mut self, splits: &BTreeMap<&str, Split>) {
         for mask in &mut self.masks {

@@ -10,7 +10,7 @@ use features::humanml3d;
 use formats::markers::MarkerSet;
 use formats::retarget::UserMap;
 use formats::source::body_model::Subjects;
-use formats::source::{Format, ReadOptions, Unit, format_named};
+use formats::source::{Format, ReadOptions, Unit, Up, format_named};
 use serde::{Deserialize, Serialize};
 
 use super::id_list::IdList;
@@ -111,6 +111,7 @@ pub(super) struct StoredOptions {
     user_map: Option<UserMap>,
     markers: Option<MarkerSet>,
     unit: Option<Unit>,
+    up: Option<Up>,
     lenient: bool,
     /// Folder and hash.
     subjects: Option<(PathBuf, String)>,
@@ -136,6 +137,7 @@ impl StoredOptions {
             user_map: read.user_map,
             markers: read.markers,
             unit: read.unit,
+            up: read.up,
             lenient: read.lenient,
             subjects: subjects.transpose()?,
             humanml3d_index: index.transpose()?,
@@ -166,6 +168,7 @@ impl StoredOptions {
                 user_map: self.user_map,
                 markers: self.markers,
                 unit: self.unit,
+                up: self.up,
                 lenient: self.lenient,
                 subjects,
                 ..ReadOptions::default()
@@ -205,7 +208,13 @@ pub(super) const PAIRS_FACT: &str = "pairs";
 /// Fact of a manifest: the settings its clips were read with, as JSON.
 pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
-const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
+const KEPT_BY_HASH: [&str; 5] = [
+    "splits",
+    "ids",
+    "joint-map",
+    "subject-models",
+    "humanml3d-index",
+];
 pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
 /// The settings that decide how a clip is read, by name. All clips of a dataset are read with the same settings.
@@ -245,7 +254,14 @@ impl Settings {
             let value = value.unwrap_or_else(|| "none".to_owned());
             (name.to_owned(), value)
         });
-        Self(values.into())
+        let mut settings = BTreeMap::from(values);
+        // Datasets of earlier versions have no such setting.
+        settings.extend(read.up.map(|up| ("up".to_owned(), up.to_string())));
+        // An index that cannot be read is refused when the sources are planned.
+        let index = options.humanml3d_index.as_ref();
+        let index = index.map(|index| hash_file(index).unwrap_or_default());
+        settings.extend(index.map(|hash| ("humanml3d-index".to_owned(), hash)));
+        Self(settings)
     }
 
     pub(super) fn text(&self) -> String {

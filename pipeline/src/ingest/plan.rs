@@ -209,11 +209,13 @@ impl Plan {
         }
         plan.note_label_problems(recorded);
         plan.take_own_splits(options.splits.as_ref());
+        plan.hold_back(recorded);
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
         }
         plan.note_split_labels();
         plan.assign_splits(recorded, options.seed);
+        plan.note_unpublished();
         Ok(plan)
     }
 
@@ -373,17 +375,50 @@ impl Plan {
             inputs::of_release(release.contents(), &below, &self.sources).into_iter()
         });
         let mut of_release: Vec<_> = of_release.collect();
+        let mut of_folder = BTreeMap::new();
         let hashes: Vec<String> = self
             .items
             .iter()
             .map(|item| match item.release {
                 Some(release) => of_release[release].next().unwrap_or_default(),
-                None => of_file[item.entry.file.as_str()].clone(),
+                None => {
+                    let file = item.entry.file.as_str();
+                    let beside = self.beside_lone(file, &mut of_folder);
+                    inputs::with_beside(&of_file[file], &beside)
+                }
             })
             .collect();
         for (item, inputs) in self.items.iter_mut().zip(hashes) {
             item.inputs = inputs;
         }
+    }
+
+    /// Hashes of the files that describe a motion which was given alone and are not given themselves: labels of its name,
+    /// and labels and licences of its folder, which `of_folder` keeps. None for a motion of a folder that was given.
+    fn beside_lone(
+        &self,
+        file: &str,
+        of_folder: &mut BTreeMap<PathBuf, Vec<String>>,
+    ) -> Vec<String> {
+        let is_lone = self.source_of(file).is_some_and(|given| !given.is_whole);
+        let path = self.files.path(file).filter(|_| is_lone);
+        let Some((path, folder)) = path.and_then(|path| Some((path, path.parent()?))) else {
+            return Vec::new();
+        };
+        let hashed = |name: &str| {
+            let bytes = match self.files.read_beside(&folder.join(name)) {
+                Ok(bytes) => bytes?,
+                // It is reported when the labels are read, and may be readable next time.
+                Err(rejected) => rejected.reason.into_bytes(),
+            };
+            Some(format!("{name} {}", blake3::hash(&bytes).to_hex()))
+        };
+        let names = labels::names_beside(path);
+        let own = names.iter().filter_map(|name| hashed(name));
+        let all = of_folder
+            .entry(folder.to_owned())
+            .or_insert_with(|| labels::names_in_folder().filter_map(hashed).collect());
+        own.chain(all.iter().cloned()).collect()
     }
 
     /// The files that no release claims: those with motions that are read, and the others.

@@ -16,7 +16,7 @@ use super::places::Places;
 use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, of_path, with_names};
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipFacts};
-use crate::facts::{fact, json};
+use crate::facts::json;
 use crate::names::free;
 
 /// Why a clip of the second of two merged datasets is skipped: the first has it. The path of its row ends in its id.
@@ -47,7 +47,7 @@ impl Base {
             pairs: base.facts.get(PAIRS_FACT).cloned(),
             masks: rows(root, base)?,
             label_pairs: rows(root, base)?,
-            label_problems: fact(&base.facts, LABEL_PROBLEMS_FACT),
+            label_problems: base.fact(LABEL_PROBLEMS_FACT)?,
         }))
     }
 }
@@ -99,7 +99,7 @@ impl Recorded {
     /// Reads what a version of the dataset holds, without its frames.
     fn read(root: &Path, base: &Manifest) -> Result<Self, Error> {
         let mut recorded = Self {
-            sources: with_names(fact(&base.facts, SOURCES_FACT)),
+            sources: with_names(base.fact(SOURCES_FACT)?),
             quarantine: rows(root, base)?,
             skipped: rows(root, base)?,
             ..Self::default()
@@ -207,8 +207,8 @@ fn clips_of(
 }
 
 /// The settings that a dataset's clips were read with, by name; empty if they are not recorded.
-pub(crate) fn recorded_settings(dataset: &Dataset) -> BTreeMap<String, String> {
-    fact(&dataset.manifest().facts, SETTINGS_FACT)
+pub(crate) fn recorded_settings(dataset: &Dataset) -> Result<BTreeMap<String, String>, Error> {
+    Ok(dataset.manifest().fact(SETTINGS_FACT)?)
 }
 
 /// Sources of two datasets after a merge.
@@ -228,7 +228,7 @@ struct SourceNames {
 
 impl MergedSources {
     /// Joins the sources of two datasets. Those of the second keep their names unless the first has them.
-    pub(crate) fn of(first: &Dataset, second: &Dataset) -> Self {
+    pub(crate) fn of(first: &Dataset, second: &Dataset) -> Result<Self, Error> {
         let (a, b) = (&first.manifest().facts, &second.manifest().facts);
         let facts = a.iter().filter(|(name, value)| match b.get(*name) {
             _ if *name == SEED_FACT => true,
@@ -238,7 +238,8 @@ impl MergedSources {
         let mut facts: BTreeMap<String, String> = facts
             .map(|(name, value)| (name.clone(), value.clone()))
             .collect();
-        let [own, mut others] = [a, b].map(|facts| with_names(fact(facts, SOURCES_FACT)));
+        let sources = |of: &Dataset| Ok::<_, Error>(with_names(of.manifest().fact(SOURCES_FACT)?));
+        let (own, mut others) = (sources(first)?, sources(second)?);
         if others.is_empty() {
             others.push(SourceLabel {
                 label: String::new(),
@@ -270,11 +271,11 @@ impl MergedSources {
         facts.insert(SOURCES_FACT.to_owned(), json(&all));
         let names = [(own, BTreeMap::new()), (others, renamed)];
         let names = names.map(|(sources, renamed)| SourceNames { sources, renamed });
-        Self {
+        Ok(Self {
             facts,
             label,
             names,
-        }
+        })
     }
 
     /// Name that the source of a row has in the result. `part` is 0 for the first dataset and 1 for the second; `name`

@@ -19,7 +19,6 @@ use super::plan::Plan;
 use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
-use crate::facts::fact;
 use crate::versions::taken_out;
 
 /// The report of a run.
@@ -67,10 +66,10 @@ pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, 
     let facts = &dataset.manifest().facts;
     let dropped = facts.get("dropped_pairs");
     Ok(IngestReport {
-        refused_pairs: fact(facts, REFUSED_PAIRS_FACT),
+        refused_pairs: dataset.manifest().fact(REFUSED_PAIRS_FACT)?,
         remarks: plan.all_remarks(),
         refused_splits: plan.notes.refused_splits.clone(),
-        label_problems: fact(facts, LABEL_PROBLEMS_FACT),
+        label_problems: dataset.manifest().fact(LABEL_PROBLEMS_FACT)?,
         licenses: license::licenses(dataset.manifest()),
         accounting: dataset.manifest().accounting.clone(),
         files: plan.files.len() as u64,

@@ -6,17 +6,21 @@ use std::path::Path;
 use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName, Staging};
 use datasets_spec::license::{self, LICENSES_FACT};
-use datasets_spec::manifest::{Accounting, FileEntry, Manifest, SPLIT_BY_FACT};
+use datasets_spec::manifest::{
+    Accounting, FileEntry, Manifest, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedPairs,
+    SPLIT_BY_FACT, add_rejected,
+};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
+use datasets_spec::rejected::{RejectedMask, RejectedMasks};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, MotionId, NoProgress, Progress, Split, Transaction};
 
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
 use super::fates::{Fates, Files, Reread};
-use super::kept::{Labels, Outside};
+use super::kept::{Labels, Outside, Timing};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, rate_name,
@@ -190,12 +194,21 @@ impl Run<'_> {
         ));
         let mut labels = prepared.labels(&self.fates);
         labels.follow(&tally.splits(plan));
+        if labels.have_ranges() {
+            let of = |tables: &Files| {
+                let files = tables.get(MotionRow::TABLE).into_iter().flatten();
+                Timing::of_files(&root, files)
+            };
+            let base = self.transaction.base();
+            let before = base.map(|base| of(&base.tables)).transpose()?;
+            labels.place(&before.unwrap_or_default(), &of(&tally.tables)?);
+        }
         prepared.refuse_loss(&root, &labels)?;
         let mut growth = self.fates.report(plan, &tally.ingested);
         growth.count(&labels);
         let alike = tally.alike.report(&tally.splits(plan));
         let masks = self.masks(labels.masks, &tally)?;
-        let pairs = self.pairs(labels.pairs, &tally);
+        let pairs = self.pairs(labels.pairs, &tally)?;
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
         if !is_same || !self.fates.nothing_changed() {
@@ -406,7 +419,7 @@ impl Run<'_> {
         let mut masks = tally.masks(staying);
         if self.transaction.base().is_some() {
             let before = Dataset::open_unverified(self.transaction.root())?;
-            let rejections = before.rejections(&before.manifest().rejected_masks())?;
+            let rejections = before.rejections(&before.manifest().rejected_masks()?)?;
             masks.retain(|mask| {
                 let is_same_motion = self.fates.is_read_again(&mask.motion_id).is_ok();
                 is_mask_of_people(mask) || !is_same_motion || !rejections.has(mask)
@@ -416,9 +429,9 @@ impl Run<'_> {
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
-    fn pairs(&self, staying: Vec<PairRow>, tally: &Tally) -> Pairs {
+    fn pairs(&self, staying: Vec<PairRow>, tally: &Tally) -> Result<Pairs, Error> {
         let rejected = self.transaction.base().map(Manifest::rejected_pairs);
-        let rejected = rejected.into_iter().flat_map(BTreeMap::into_values);
+        let rejected = rejected.transpose()?.unwrap_or_default().into_values();
         let rejected: BTreeSet<[MotionId; 2]> = rejected.flatten().collect();
         let (mut made, dropped) = tally.pairs(self.plan);
         // They left the dataset when people rejected them.
@@ -428,11 +441,11 @@ impl Run<'_> {
         let list = self.prepared.options.pairs.as_ref();
         let listed = tally.listed_pairs(self.plan, list, &known, &rejected);
         rows.extend(listed.rows.into_iter().map(|row| (row.id.clone(), row)));
-        Pairs {
+        Ok(Pairs {
             rows: rows.into_values().collect(),
             dropped,
             refused: listed.refused,
-        }
+        })
     }
 
     /// Writes the tables beside the shards, and returns the files of all tables.
@@ -465,6 +478,56 @@ impl Run<'_> {
         problems.sort();
         problems.dedup();
         problems
+    }
+
+    /// What people rejected, in this dataset and in those that are sources of it.
+    fn rejected_labels(&self) -> Result<(RejectedMasks, RejectedPairs), Error> {
+        let base = self.transaction.base();
+        let mut masks = base
+            .map(Manifest::rejected_masks)
+            .transpose()?
+            .unwrap_or_default();
+        let mut pairs = base
+            .map(Manifest::rejected_pairs)
+            .transpose()?
+            .unwrap_or_default();
+        for (number, (_, release)) in self.plan.releases.iter().enumerate() {
+            let (of_masks, of_pairs) = &release.contents().rejected_labels;
+            if of_masks.is_empty() && of_pairs.is_empty() {
+                continue;
+            }
+            let items = self.plan.items.iter();
+            let ids: BTreeMap<&str, &str> = items
+                .filter(|item| item.release == Some(number))
+                .map(|item| (item.entry.id.as_str(), item.id.as_str()))
+                .collect();
+            let id = |old: &MotionId| MotionId::parse(ids.get(old.as_str())?).ok();
+            add_rejected(
+                &mut masks,
+                of_masks.iter().map(|(by, masks)| {
+                    let masks = masks.iter().filter_map(|one| {
+                        let clip = id(&one.clip)?;
+                        Some(RejectedMask {
+                            clip,
+                            ..one.clone()
+                        })
+                    });
+                    (by.clone(), masks.collect())
+                }),
+            );
+            add_rejected(
+                &mut pairs,
+                of_pairs.iter().map(|(by, pairs)| {
+                    let pairs = pairs
+                        .iter()
+                        .filter_map(|[source, target]| Some([id(source)?, id(target)?]));
+                    (by.clone(), pairs.collect())
+                }),
+            );
+        }
+        masks.retain(|_, list| !list.is_empty());
+        pairs.retain(|_, list| !list.is_empty());
+        Ok((masks, pairs))
     }
 
     /// Tables that were composed of the motions of the previous version.
@@ -501,6 +564,13 @@ impl Run<'_> {
                 plan.all_sources(&prepared.base.recorded),
             ),
         ]);
+        let (masks, rejected_pairs) = self.rejected_labels()?;
+        if !masks.is_empty() {
+            facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&masks));
+        }
+        if !rejected_pairs.is_empty() {
+            facts.insert(REJECTED_PAIRS_FACT.to_owned(), json(&rejected_pairs));
+        }
         if let Some(list) = &options.pairs {
             facts.insert(PAIRS_FACT.to_owned(), list.hash().to_owned());
         }

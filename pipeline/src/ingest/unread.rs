@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use clip::rejected;
 use datasets_spec::record::QuarantineRow;
 use formats::source::archive::DAMAGED;
 use formats::source::labels::names_beside;
@@ -17,9 +18,18 @@ use super::shard::PIECE_STAGE;
 use super::sources::below;
 use crate::names::some_of;
 
+/// Code of a motion whose release states its split in a file that cannot be read.
+const UNREAD_SPLITS: &str = "E-SPLITS-UNREAD";
+
 /// Whether a rejection says nothing about the content of an item, which may be readable next time.
 pub(super) fn is_passing(row: &QuarantineRow) -> bool {
-    let codes = ["E-IO", "E-INTERNAL", "E-LFS-POINTER", DAMAGED];
+    let codes = [
+        "E-IO",
+        "E-INTERNAL",
+        "E-LFS-POINTER",
+        DAMAGED,
+        UNREAD_SPLITS,
+    ];
     row.stage == PIECE_STAGE || codes.contains(&row.code.as_str())
 }
 
@@ -92,6 +102,47 @@ impl Plan {
         self.notes.staying.extend(staying.cloned());
     }
 
+    /// Holds back the motions of releases whose splits cannot be read: new ones are quarantined unless the user states
+    /// their split, and clips of the dataset stay as they were.
+    pub(super) fn hold_back(&mut self, recorded: &Recorded) {
+        let releases = self.releases.iter();
+        let unread: Vec<Option<String>> = releases
+            .map(|(_, release)| release.contents().unread_splits.first().cloned())
+            .collect();
+        let mut items = std::mem::take(&mut self.items);
+        let mut num_staying: BTreeMap<&str, usize> = BTreeMap::new();
+        items.retain(|item| {
+            let unread = item.release.and_then(|release| unread[release].as_deref());
+            let Some(list) = unread.filter(|_| !item.is_kept) else {
+                return true;
+            };
+            if let Some(clip) = item.known {
+                *num_staying.entry(list).or_default() += 1;
+                let path = recorded.clips[clip].path.clone();
+                self.notes.staying.insert(path);
+                return false;
+            }
+            if item.own_split.is_some() {
+                return true;
+            }
+            let Entry { file, key, .. } = &item.entry;
+            let why = rejected!(
+                UNREAD_SPLITS,
+                "{list} decides on the splits of its release and cannot be read; make it readable and ingest again, or name the \
+                 splits with --splits"
+            );
+            self.rejected.push(self.rejected_row(file, key, why));
+            false
+        });
+        self.items = items;
+        let remarks = num_staying.into_iter().map(|(list, count)| {
+            format!(
+                "{count} clips stay as they were, because {list}, which decides on splits, cannot be read"
+            )
+        });
+        self.notes.remarks.extend(remarks);
+    }
+
     /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not;
     /// remarks on labels of new clips that may be unread.
     pub(super) fn note_label_problems(&mut self, recorded: &Recorded) {
@@ -133,7 +184,7 @@ impl Plan {
             .collect();
         let is_unread = |file: &str| {
             let source = self.sources.get(file);
-            source.is_some_and(|source| source.hash.is_err())
+            passing.contains(file) || source.is_some_and(|source| source.hash.is_err())
         };
         let common: Vec<Option<&str>> = of_release
             .iter()

@@ -6,11 +6,12 @@ use datasets_spec::{Dataset, MotionId, Split};
 
 use super::finding::{Check, Finding};
 use super::read::Met;
+use crate::Error;
 use crate::recordings::{Origin, Prefixes, Recording};
 
 /// Finds clips whose recording also has a clip in another split.
-pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Vec<Finding> {
-    let prefixes = Prefixes::of(dataset);
+pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Result<Vec<Finding>, Error> {
+    let prefixes = Prefixes::of(dataset)?;
     let mut first: BTreeMap<Recording, &Origin> = BTreeMap::new();
     let mut findings = Vec::new();
     for Met { origin, .. } in met {
@@ -27,7 +28,7 @@ pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Vec<Finding> {
             Finding::new(Check::Splits, origin.id.as_str(), problem)
         }));
     }
-    findings
+    Ok(findings)
 }
 
 /// Finds motions of another rate than the dataset's, or of two rates in a split with masks or pairs (which are

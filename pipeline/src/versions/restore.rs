@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::manifest::{Manifest, plan_hash};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::rejected::MaskPlace;
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
@@ -87,16 +88,26 @@ pub fn restore(
         ..
     } = merge;
     check_lost(root, &lost, drop_labels)?;
-    let rejected = now.manifest().rejected_pairs().into_values().flatten();
+    let rejected = now.manifest().rejected_pairs()?.into_values().flatten();
     let rejected: BTreeSet<[MotionId; 2]> = rejected.collect();
+    // What people accepted in the newest version was accepted after any rejection of it.
     let is_rejected = |pair: &PairRow| {
-        let clips = [pair.source_id.clone(), pair.target_id.clone()];
-        !is_pair_judged(pair) && rejected.contains(&clips)
+        let clips = |pair: &PairRow| [pair.source_id.clone(), pair.target_id.clone()];
+        let held = current.pairs.get(&pair.id);
+        let is_accepted =
+            held.is_some_and(|held| is_pair_judged(held) && clips(held) == clips(pair));
+        !is_accepted && rejected.contains(&clips(pair))
     };
     let rejected = labels.pairs.extract_if(.., |_, pair| is_rejected(pair));
     let mut rejected: Vec<String> = rejected.map(|(id, _)| id).collect();
-    let rejections = old.rejections(&now.manifest().rejected_masks())?;
-    let is_rejected = |mask: &MaskRow| !is_mask_of_people(mask) && rejections.has(mask);
+    let rejections = old.rejections(&now.manifest().rejected_masks()?)?;
+    let place = |mask: &MaskRow| (mask.motion_id.clone(), MaskPlace::of(mask));
+    let accepted = current
+        .masks
+        .values()
+        .filter(|mask| is_mask_of_people(mask));
+    let accepted: BTreeSet<(MotionId, MaskPlace)> = accepted.map(place).collect();
+    let is_rejected = |mask: &MaskRow| rejections.has(mask) && !accepted.contains(&place(mask));
     let masks = labels.masks.extract_if(.., |_, mask| is_rejected(mask));
     rejected.extend(masks.map(|(id, _)| id));
     let left = now.manifest().tables.keys();
@@ -106,7 +117,7 @@ pub fn restore(
         .filter(|table| *table != PairRow::TABLE || labels.pairs.is_empty())
         .cloned()
         .collect();
-    let facts = transaction.restored_facts(old.manifest());
+    let facts = transaction.restored_facts(old.manifest())?;
     let is_current = labels == current && is_alike(old.manifest(), &facts, now.manifest());
     let dataset = if is_current {
         transaction.finish()?;

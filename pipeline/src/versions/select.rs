@@ -17,7 +17,7 @@ use super::labels::Labels;
 use super::rows::ClipIndex;
 use crate::Error;
 use crate::clip_table::is_composed;
-use crate::facts::{fact, json};
+use crate::facts::json;
 use crate::ingest::Places;
 
 /// Fact of a manifest: the datasets from which its clips were selected, with the conditions, as JSON.
@@ -107,7 +107,7 @@ pub fn select(
     let mut facts = manifest.facts.clone();
     facts.remove(LAID_OUT_FACT);
     facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
-    facts.insert(SELECTED_FACT.to_owned(), selected_from(&dataset, filter));
+    facts.insert(SELECTED_FACT.to_owned(), selected_from(&dataset, filter)?);
     let left_tables = composed(&dataset);
     let store = transaction.store();
     Places::read(store.as_ref(), root)?.write(store.as_ref(), transaction.root())?;
@@ -133,14 +133,14 @@ pub fn select(
     })
 }
 
-fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
+fn selected_from(dataset: &Dataset, filter: &Condition) -> Result<String, Error> {
     let manifest = dataset.manifest();
-    let mut selections: Vec<Origin> = fact(&manifest.facts, SELECTED_FACT);
+    let mut selections: Vec<Origin> = manifest.fact(SELECTED_FACT)?;
     selections.push(Origin {
         root_hash: manifest.root_hash.clone(),
         condition: filter.text().to_owned(),
     });
-    json(&selections)
+    Ok(json(&selections))
 }
 
 /// Tables that stages make of all clips of a dataset.

@@ -18,7 +18,7 @@ use serde_json::Value;
 use train::card::{self, About, Score};
 use train::checkpoint::{CONFIG, RunRecord, read_any};
 
-use crate::local;
+use crate::{local, report};
 
 /// File in a run folder that holds scores of the model, as `stance eval --json` prints them.
 const SCORES: &str = "scores.json";
@@ -218,13 +218,22 @@ fn settled(
     Ok(stated)
 }
 
+/// Folder of the annotation store in a dataset.
+const ANNOTATE: &str = "annotate";
+
 /// Files of the newest version, files beside its tables, and descriptions with these licences.
 fn files_of_dataset(
     dataset: &Dataset,
     licenses: &BTreeMap<String, u64>,
 ) -> anyhow::Result<Vec<HubFile>> {
     let (root, mut manifest) = (dataset.root(), dataset.manifest().clone());
-    let mut files = files_below(root, &["data", "meta"])?;
+    if root.join(ANNOTATE).exists() {
+        report::note(&format!(
+            "{ANNOTATE}/ is not published: it holds the names, tokens and answers of people; `stance annotate DATASET export` \
+             brings accepted answers into the tables"
+        ));
+    }
+    let mut files = files_below(root, &["data", "meta", ANNOTATE])?;
     for entry in manifest.tables.values().flatten() {
         let place = root.join(&entry.path);
         // A run that was killed after its commit may have left the file under its temporary name.

@@ -183,7 +183,6 @@ fn train_all(
         kinds: vec![EditKind::Style, EditKind::FineGrained],
         ..compose.clone()
     };
-    let with_poses = wanted.poses && !plan.at("runs/j2s/checkpoint").exists();
     let with_encoder = !config.encoder.is_builtin();
     // Start the longest trainings first, so that the others fill the remaining time.
     let runs = [
@@ -191,7 +190,7 @@ fn train_all(
         ("composed-once", wanted.composed_once),
         ("captured-alone", is_captured_alone),
         ("coordinator", is_guided),
-        ("j2s", with_poses),
+        ("j2s", wanted.poses),
         ("tmr", with_encoder),
     ];
     let runs = runs.into_iter().filter(|(_, is_wanted)| *is_wanted);

@@ -18,6 +18,7 @@ use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
 use crate::model::pass::Pass;
 use crate::sample::noise::normal;
 use crate::schedule::Schedule;
+use crate::text::source::keep_vectors;
 use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::{read, send};
 use crate::{Error, Session};
@@ -96,6 +97,7 @@ pub fn train_mld<'a>(
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
         .trained_in(session);
     let run = Run::open(start, &document)?;
+    keep_vectors(corpus.vectors, run.dir())?;
     let noising = Noising {
         record: &record,
         autoencoder: &autoencoder,
@@ -125,7 +127,8 @@ pub fn train_mld<'a>(
         validation: val_batches.collect::<Result<_, Error>>()?,
     };
     let network = |device: &Device| record.network(device);
-    Ok(trainer::train(&task, network, &run, session)?.1)
+    let report = trainer::train(&task, network, &run, session)?.1;
+    Ok(report.without((corpus.train.len() - train.len()) as u64))
 }
 
 /// The standard deviation of the latent vectors of clips: the square root of the mean variance of their elements.

@@ -1,9 +1,10 @@
 //! Training of MDM and of MLD on the captioned motions of a dataset.
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Dataset, Split};
+use datasets_spec::{Dataset, Fps, Split};
+use kinematics::resample;
 
-use super::{MOTIONS, kept};
+use super::MOTIONS;
 use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::config::TextEncoder;
 use crate::error::motion_error;
@@ -55,46 +56,62 @@ pub(crate) const MLD: ModelKind = ModelKind {
     open: None,
 };
 
-/// The clips of a split, each with captions of the whole clip. A part of a clip with its own caption becomes a separate
-/// clip.
-///
-/// # Source
-/// `Text2MotionDatasetV2` of HumanML3D.
-fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
-    let rows: Vec<MotionRow> = dataset.read(Some(split))?;
-    let mut clips = Vec::new();
-    for row in rows.iter().filter(|row| !row.captions.is_empty()) {
-        push_clips(row, &mut clips).map_err(motion_error(row.id.as_str()))?;
-    }
-    Ok(clips)
+/// The captioned clips of a split.
+#[derive(Debug, Default)]
+pub struct CaptionedClips {
+    /// The clips, each with captions of the whole clip. A part of a clip with its own caption is a separate clip.
+    pub clips: Vec<CaptionedClip>,
+    /// Number of captions whose part has fewer than two frames at 20 frames a second.
+    pub left_out: u64,
 }
 
-fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), datasets_spec::Error> {
-    let motion = row.motion()?;
-    let mut of_all = Vec::new();
-    for caption in &row.captions {
-        if caption.from_s == 0.0 && caption.to_s == 0.0 {
-            of_all.push(caption.text.clone());
-            continue;
+impl CaptionedClips {
+    /// Reads those of a dataset.
+    ///
+    /// # Source
+    /// `Text2MotionDatasetV2` of HumanML3D.
+    ///
+    /// # Errors
+    /// The dataset cannot be read, or a row does not hold a motion.
+    pub fn read(dataset: &Dataset, split: Split) -> Result<Self, Error> {
+        let rows: Vec<MotionRow> = dataset.read(Some(split))?;
+        let mut found = Self::default();
+        for row in rows.iter().filter(|row| !row.captions.is_empty()) {
+            found.push(row).map_err(motion_error(row.id.as_str()))?;
         }
-        let frame = |secs: f32| ((f64::from(secs) * motion.fps().get()) as usize).min(motion.len());
-        let frames = frame(caption.from_s)..frame(caption.to_s);
-        if !frames.is_empty() {
-            clips.push(CaptionedClip {
+        Ok(found)
+    }
+
+    fn push(&mut self, row: &MotionRow) -> Result<(), datasets_spec::Error> {
+        let motion = row.motion()?;
+        let mut of_all = Vec::new();
+        for caption in &row.captions {
+            if caption.from_s == 0.0 && caption.to_s == 0.0 {
+                of_all.push(caption.text.clone());
+                continue;
+            }
+            let frame =
+                |secs: f32| ((f64::from(secs) * motion.fps().get()) as usize).min(motion.len());
+            let frames = frame(caption.from_s)..frame(caption.to_s);
+            if resample::grid(frames.len(), motion.fps(), Fps::STORE).len() < 2 {
+                self.left_out += 1;
+                continue;
+            }
+            self.clips.push(CaptionedClip {
                 id: format!("{} {}:{}", row.id, frames.start, frames.end),
                 motion: motion.crop(frames)?,
                 captions: vec![caption.text.clone()],
             });
         }
+        if !of_all.is_empty() {
+            self.clips.push(CaptionedClip {
+                id: row.id.to_string(),
+                motion,
+                captions: of_all,
+            });
+        }
+        Ok(())
     }
-    if !of_all.is_empty() {
-        clips.push(CaptionedClip {
-            id: row.id.to_string(),
-            motion,
-            captions: of_all,
-        });
-    }
-    Ok(())
 }
 
 /// Trains a model on the captioned clips of a dataset, with captions encoded by `encoder`. If the encoder is frozen,
@@ -106,20 +123,23 @@ fn train_on_captions(
     fit: impl FnOnce(CaptionedCorpus<'_>) -> Result<TrainReport, Error>,
 ) -> Result<Trained, Error> {
     let dataset = request.dataset;
-    let train = timed_clips(dataset, Split::Train)?;
-    let val = timed_clips(dataset, Split::Val)?;
-    let captions = train.iter().chain(&val).flat_map(|clip| &clip.captions);
+    let train = CaptionedClips::read(dataset, Split::Train)?;
+    let val = CaptionedClips::read(dataset, Split::Val)?.clips;
+    let captions = train
+        .clips
+        .iter()
+        .chain(&val)
+        .flat_map(|clip| &clip.captions);
     let captions: Vec<String> = captions.cloned().chain([String::new()]).collect();
     let (run, source) = (request.start.run, request.text_encoder);
     let known = request.start.known().unwrap_or(run);
     let vectors = source.embeddings(known, &captions, encoder, session)?;
-    let vectors = kept(vectors, run)?;
     let report = fit(CaptionedCorpus {
-        train: &train,
+        train: &train.clips,
         val: &val,
         vectors: vectors.as_ref(),
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),
     })?;
-    Ok(Trained::from_report(report, run))
+    Ok(Trained::from_report(report.without(train.left_out), run))
 }

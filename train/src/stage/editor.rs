@@ -9,7 +9,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
 use kinematics::normalise::Normalizer;
 
-use super::{Streams, kept};
+use super::Streams;
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
 use crate::config::TrainConfig;
@@ -79,7 +79,6 @@ pub fn train_editor<'a>(
     let encoder = (config.text.encoder, ClipModel::VitB32);
     let known = start.known().unwrap_or(start.run);
     let vectors = text_encoder.embeddings(known, &all, encoder, session)?;
-    let vectors = kept(vectors, start.run)?;
     let corpus = Corpus {
         train: match &recorded {
             Some(loader) => loader,

@@ -1,12 +1,11 @@
 //! Training of the evaluation encoder on a dataset.
 
-use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
 
 use super::MOTIONS;
-use crate::captioned::{CaptionedClip, CaptionedCorpus};
+use super::captioned::CaptionedClips;
+use crate::captioned::CaptionedCorpus;
 use crate::checkpoint::Start;
-use crate::error::motion_error;
 use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::tmr::{self, TmrConfig, train_tmr};
 use crate::trainer::TrainReport;
@@ -21,27 +20,6 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: None,
 };
 
-/// The clips of a split that have a caption.
-///
-/// # Errors
-/// The dataset cannot be read, or a row does not hold a motion.
-pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
-    let rows: Vec<MotionRow> = dataset.read(Some(split))?;
-    let clips = rows.into_iter().filter(|row| !row.captions.is_empty());
-    clips
-        .map(|row| {
-            let id = row.id.to_string();
-            let motion = row.motion().map_err(motion_error(&id))?;
-            let captions = row.captions.into_iter().map(|caption| caption.text);
-            Ok(CaptionedClip {
-                id,
-                motion,
-                captions: captions.collect(),
-            })
-        })
-        .collect()
-}
-
 /// Trains the evaluation encoder, or continues its run.
 ///
 /// # Errors
@@ -52,14 +30,15 @@ pub fn train_encoder<'a>(
     config: &TmrConfig,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
+    let train = CaptionedClips::read(dataset, Split::Train)?;
     let corpus = CaptionedCorpus {
-        train: &captioned_clips(dataset, Split::Train)?,
-        val: &captioned_clips(dataset, Split::Val)?,
+        train: &train.clips,
+        val: &CaptionedClips::read(dataset, Split::Val)?.clips,
         vectors: None,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),
     };
-    train_tmr(start, config, corpus, session)
+    Ok(train_tmr(start, config, corpus, session)?.without(train.left_out))
 }
 
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {

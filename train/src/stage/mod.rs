@@ -1,14 +1,12 @@
 //! Stages of training, from a dataset folder to a run folder: open the dataset, assemble the training data, train.
 
-pub(crate) mod captioned;
+pub mod captioned;
 pub mod coordinator;
 pub mod editor;
 pub mod encoder;
 pub mod poses;
 pub mod texts;
 pub mod variants;
-
-use std::path::Path;
 
 use compose::{ComposeConfig, Stream, library, train_stream};
 use datasets_spec::record::MotionRow;
@@ -18,10 +16,7 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::Normalizer;
 
 use crate::Error;
-use crate::checkpoint::check_free;
 use crate::compose::ComposeRecord;
-use crate::text::source::EMBEDDINGS;
-use crate::text::table::EmbeddingTable;
 
 /// Tables that models depend on if they are trained on motions and captions, without composed edits.
 const MOTIONS: [&str; 1] = [MotionRow::TABLE];
@@ -86,20 +81,4 @@ pub(crate) fn validation_stream(
     let library = library(dataset, Split::Val)?;
     let stream = Stream::new(library, unthinned(compose), seed, normalizer);
     stream.map_err(|source| Error::Validation { source })
-}
-
-/// Stores the vectors of a run's texts, if there are any, in its folder, and returns them.
-///
-/// # Errors
-/// The folder holds a dataset, or the file cannot be written.
-pub(crate) fn kept(
-    table: Option<EmbeddingTable>,
-    run: &Path,
-) -> Result<Option<EmbeddingTable>, Error> {
-    if let Some(table) = &table {
-        check_free(run)?;
-        std::fs::create_dir_all(run).map_err(Error::io("create", run))?;
-        table.save(&run.join(EMBEDDINGS))?;
-    }
-    Ok(table)
 }

@@ -16,6 +16,15 @@ use crate::{Error, Session};
 /// Name of the table with the vectors of a run's texts, in the run folder.
 pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 
+/// Stores the vectors of a run's texts, if there are any, in the folder of the run, which must be open: the vectors of
+/// another run are not replaced.
+pub(crate) fn keep_vectors(vectors: Option<&EmbeddingTable>, run: &Path) -> Result<(), Error> {
+    match vectors {
+        Some(vectors) => vectors.save(&run.join(EMBEDDINGS)),
+        None => Ok(()),
+    }
+}
+
 /// Where a frozen text encoder is loaded from.
 #[derive(Clone, Debug, Default)]
 pub struct TextEncoderSource {

@@ -324,6 +324,7 @@ impl EditSystem for TmedSystem {
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
         Remarks {
+            num_cut: self.record.text.num_cut(texts),
             unknown_words: self.record.text.unknown_words(texts),
             ..Remarks::default()
         }

@@ -12,7 +12,7 @@ use super::task::{KIND, TmedCorpus, train_tmed};
 use crate::compose::ComposeRecord;
 use crate::config::ensure;
 use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
-use crate::stage::{kept, validation_stream};
+use crate::stage::validation_stream;
 use crate::{Error, Session};
 
 pub(crate) const MODEL: ModelKind = ModelKind {
@@ -62,7 +62,6 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
     let encoder = request.text_encoder;
     let vectors = encoder.token_embeddings(run, &all, &config.text, session)?;
-    let vectors = kept(vectors, run)?;
     let corpus = TmedCorpus {
         train: &*train,
         val: &*val,

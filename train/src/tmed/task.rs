@@ -15,6 +15,7 @@ use crate::data::Timesteps;
 use crate::fit::TextRecord;
 use crate::model::tmed::TmedModel;
 use crate::schedule::Schedule;
+use crate::text::source::keep_vectors;
 use crate::text::table::EmbeddingTable;
 use crate::trainer::{Task, TrainReport, train};
 use crate::{Error, Session};
@@ -99,6 +100,7 @@ pub fn train_tmed<'a>(
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone())
         .trained_in(session);
     let run = Run::open(start, &document)?;
+    keep_vectors(corpus.vectors, run.dir())?;
     let seed = Seed(config.run.seed);
     let sampler = ClipSampler {
         source: corpus.train,

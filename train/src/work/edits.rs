@@ -249,6 +249,7 @@ impl Job for Editing {
             let notes: Notes = work::notes(plan, &piece, notes)?;
             times += notes.times;
             remarks.num_short += notes.remarks.num_short;
+            remarks.num_cut += notes.remarks.num_cut;
             remarks.unknown_words.extend(notes.remarks.unknown_words);
         }
         let dataset = commit_edits_in(

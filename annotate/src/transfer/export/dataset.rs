@@ -5,13 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use datasets_spec::dataset::{Commit, Transaction};
 use datasets_spec::manifest::{REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedPairs};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::rejected::{RejectedMask, RejectedMasks};
+use datasets_spec::rejected::{MaskPlace, RejectedMask, RejectedMasks};
 use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
 
 use super::exporter::{Clips, Exported, Exporter};
 use crate::Error;
-use crate::answer::sentence;
+use crate::answer::{completion, sentence};
 use crate::mask::check_range;
 use crate::store::AcceptedAnswer;
 use crate::transfer::import::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
@@ -26,6 +26,8 @@ const SPLITS_FACT: &str = "annotate_splits";
 /// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance. It is `None` if
 /// the answer has no masks, and an empty list if the table can hold none of them.
 type Described = BTreeMap<String, (i64, Option<Vec<MaskRow>>)>;
+/// The tasks about a motion, by its id.
+type TasksOf = BTreeMap<String, Vec<i64>>;
 /// Judgements of pairs by the id of the pair, each with the sequence number of the acceptance.
 type Judged = BTreeMap<String, (i64, Judgement)>;
 
@@ -44,12 +46,14 @@ impl Exporter<'_> {
     pub(super) fn dataset(&mut self, transaction: Transaction) -> Result<(), Error> {
         let dataset = Dataset::open(transaction.root())?;
         self.clips = Some(clips_of(&dataset)?);
-        let (described, judged) = self.decided()?;
+        let (mut described, judged, tasks) = self.decided()?;
         let mut masks: Vec<MaskRow> = dataset.read(None)?;
+        self.leave_to_others(&masks, &tasks, &mut described)?;
+        self.keep_authors(&masks, &mut described);
         masks.retain(|row| !described.contains_key(row.motion_id.as_str()));
         let mut pairs = self.unjudged(&dataset, &judged)?;
-        let rejected = self.rejected(&dataset, &judged);
-        let unmasked = self.unmasked(&dataset, &described);
+        let rejected = self.rejected(&dataset, &judged)?;
+        let unmasked = self.unmasked(&dataset, &described)?;
         self.take_back(&dataset, &mut masks, &mut pairs)?;
         self.done.count("motions_described", described.len());
         masks.extend(
@@ -71,7 +75,7 @@ impl Exporter<'_> {
         let manifest = dataset.manifest();
         let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
         let is_recorded =
-            rejected == manifest.rejected_pairs() && unmasked == manifest.rejected_masks();
+            rejected == manifest.rejected_pairs()? && unmasked == manifest.rejected_masks()?;
         if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) && is_recorded {
             return Ok(());
         }
@@ -127,8 +131,9 @@ impl Exporter<'_> {
 
     /// The rows of all accepted answers. Two tasks may be about one clip that got another id, or, in a store of an
     /// earlier version, about one candidate. The later decision counts.
-    fn decided(&mut self) -> Result<(Described, Judged), Error> {
+    fn decided(&mut self) -> Result<(Described, Judged, TasksOf), Error> {
         let (mut described, mut judged) = (Described::new(), Judged::new());
+        let mut tasks = TasksOf::new();
         self.each_accepted(|exporter, accepted| {
             count_losses(&accepted.answer, &mut exporter.done);
             if accepted.task.kind == TaskKind::MaskText {
@@ -136,6 +141,10 @@ impl Exporter<'_> {
                 let is_bare = accepted.answer.fields().masks.is_empty();
                 let rows = exporter.mask_rows(&motion, &accepted)?;
                 let rows = (!is_bare).then_some(rows);
+                tasks
+                    .entry(motion.clone())
+                    .or_default()
+                    .push(accepted.task.id);
                 put_later(&mut described, motion, (accepted.seq, rows));
                 return Ok(());
             }
@@ -146,7 +155,69 @@ impl Exporter<'_> {
             }
             Ok(())
         })?;
-        Ok((described, judged))
+        Ok((described, judged, tasks))
+    }
+
+    /// Takes the motions from `described` that have masks of people which this project never had, such as those of
+    /// `stance masks --accept` or of another project: their masks stay as they are.
+    fn leave_to_others(
+        &mut self,
+        masks: &[MaskRow],
+        tasks: &TasksOf,
+        described: &mut Described,
+    ) -> Result<(), Error> {
+        let mut of_motion: BTreeMap<&str, Vec<&MaskRow>> = BTreeMap::new();
+        let of_others = masks.iter().filter(|row| {
+            let is_described = described.contains_key(row.motion_id.as_str());
+            is_described && row.text_origin == "human" && !self.is_own(&row.author)
+        });
+        for row in of_others {
+            let rows = of_motion.entry(row.motion_id.as_str()).or_default();
+            rows.push(row);
+        }
+        let mut left: Vec<&MaskRow> = Vec::new();
+        for (motion, rows) in of_motion {
+            let mut answers = Vec::new();
+            for task in &tasks[motion] {
+                answers.extend(self.store.answers_ever(*task)?);
+            }
+            let foreign = rows.into_iter().find(|row| !is_said(row, &answers));
+            if foreign.is_some() {
+                described.remove(motion);
+            }
+            left.extend(foreign);
+        }
+        let message = left.first().map_or_else(String::new, |first| {
+            format!(
+                "{} motions keep the masks that people accepted outside this project, for example {} by {}; the answers \
+                 of this project to them were not written: reject those masks with `stance masks --drafts` and \
+                 `--accept`, and export again to write them",
+                left.len(),
+                first.id,
+                first.author
+            )
+        });
+        self.done
+            .report("motions_left_to_others", left.len(), message);
+        Ok(())
+    }
+
+    /// Keeps the author of each mask that was imported as it stands in the dataset: an answer names one author for all
+    /// its masks.
+    fn keep_authors(&self, masks: &[MaskRow], described: &mut Described) {
+        let mut before: BTreeMap<&str, Vec<&MaskRow>> = BTreeMap::new();
+        for row in masks.iter().filter(|row| row.text_origin == "human") {
+            before.entry(row.motion_id.as_str()).or_default().push(row);
+        }
+        for row in described.values_mut().flat_map(|(_, rows)| rows).flatten() {
+            let known = before.get(row.motion_id.as_str()).into_iter().flatten();
+            let mut same = known.filter(|known| is_same(known, row));
+            if !self.is_own(&row.author)
+                && let Some(known) = same.next()
+            {
+                row.author.clone_from(&known.author);
+            }
+        }
     }
 
     /// The pairs of a dataset that no decision is about. A pair of other clips under the id of a kept pair makes room for
@@ -171,8 +242,8 @@ impl Exporter<'_> {
 
     /// The rejected pairs of all stores after this export. The list of this store becomes that of its accepted
     /// rejections; in splits that are not exported it stays. A pair that this store accepts leaves all lists.
-    fn rejected(&self, dataset: &Dataset, judged: &Judged) -> RejectedPairs {
-        let mut all = dataset.manifest().rejected_pairs();
+    fn rejected(&self, dataset: &Dataset, judged: &Judged) -> Result<RejectedPairs, Error> {
+        let mut all = dataset.manifest().rejected_pairs()?;
         let own = all.entry(self.done.store.clone()).or_default();
         own.retain(|[source, _]| self.is_unwanted(source));
         for (id, (_, judgement)) in judged {
@@ -192,13 +263,13 @@ impl Exporter<'_> {
             }
         }
         all.retain(|_, list| !list.is_empty());
-        all
+        Ok(all)
     }
 
     /// The rejected masks of all stores and reviewers after this export. The list of this store becomes that of the clips
     /// whose accepted answers have no masks; in splits that are not exported it stays.
-    fn unmasked(&self, dataset: &Dataset, described: &Described) -> RejectedMasks {
-        let mut all = dataset.manifest().rejected_masks();
+    fn unmasked(&self, dataset: &Dataset, described: &Described) -> Result<RejectedMasks, Error> {
+        let mut all = dataset.manifest().rejected_masks()?;
         let own = all.entry(self.done.store.clone()).or_default();
         own.retain(|rejected| self.is_unwanted(&rejected.clip));
         let bare = described.iter().filter(|(_, (_, rows))| rows.is_none());
@@ -210,8 +281,22 @@ impl Exporter<'_> {
                 mask: None,
             })
         }));
+        // Masks that are accepted now end earlier rejections of them, whoever rejected them.
+        let rows = described.values().filter_map(|(_, rows)| rows.as_ref());
+        let there: BTreeSet<(&MotionId, Option<MaskPlace>)> = rows
+            .flatten()
+            .flat_map(|row| {
+                [
+                    (&row.motion_id, None),
+                    (&row.motion_id, Some(MaskPlace::of(row))),
+                ]
+            })
+            .collect();
+        for list in all.values_mut() {
+            list.retain(|one| !there.contains(&(&one.clip, one.mask.clone())));
+        }
         all.retain(|_, list| !list.is_empty());
-        all
+        Ok(all)
     }
 
     /// Whether a clip of the dataset is in a split that is not exported.
@@ -354,6 +439,32 @@ impl Exporter<'_> {
             accepted_by: Some(accepted.accepted_by.clone()),
         })))
     }
+}
+
+/// Whether one of some answers has a mask with the joints, the range and the text of a row.
+fn is_said(row: &MaskRow, answers: &[Answer]) -> bool {
+    let range = row.start.zip(row.end).map(|(start, end)| [start, end]);
+    let mut masks = answers.iter().flat_map(|answer| answer.fields().masks);
+    masks.any(|mask| {
+        let joints = mask.mask();
+        joints.hard().names() == row.hard_joints
+            && joints.soft().names() == row.soft_joints
+            && mask.range == range
+            && completion(&sentence(&mask.text)) == completion(&sentence(&row.text))
+    })
+}
+
+/// Whether two rows say the same of the same frames.
+fn is_same(a: &MaskRow, b: &MaskRow) -> bool {
+    let mask = |row: &MaskRow| {
+        (
+            row.hard_joints.clone(),
+            row.soft_joints.clone(),
+            row.start,
+            row.end,
+        )
+    };
+    mask(a) == mask(b) && completion(&sentence(&a.text)) == completion(&sentence(&b.text))
 }
 
 fn clips_of_pair(pair: &PairRow) -> [MotionId; 2] {

@@ -25,6 +25,7 @@ const LEFT_ALONE: Readonly<Record<string, string>> = {
   answers_differ: "their answers differ; review them one by one",
   answered: "this person has answered them",
   task_full: "they have as many people as they want",
+  clip_changed: "their clips were ingested anew after the answers; review them one by one",
   new_style: "they name a style that the project does not have; review them one by one",
 };
 

@@ -62,6 +62,20 @@ fn a_label_is_never_cut() {
 }
 
 #[test]
+fn a_motion_above_its_ground_says_so() {
+    let said = |raised: f64| {
+        let mut row = row("edit", 20, 0.0);
+        let floor = row.floor();
+        let points = row.keypoints.points.iter_mut().flatten();
+        points.for_each(|point| point.y += raised - floor);
+        words(&strip(&[row], &Style::default()))
+    };
+    assert!(said(1.0).contains("lowest +1.00 m"), "{}", said(1.0));
+    assert!(said(-0.2).contains("lowest -0.20 m"));
+    assert!(!said(0.05).contains("lowest"));
+}
+
+#[test]
 fn lines_break_at_spaces_and_only_long_words_within() {
     assert_eq!(lines("a bc def", 4), ["a bc", "def"]);
     assert_eq!(lines("abcdefgh i", 4), ["abcd", "efgh", "i"]);

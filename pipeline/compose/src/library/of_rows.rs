@@ -55,6 +55,7 @@ impl Library {
                 n_frames: row.n_frames,
                 action: row.action.clone(),
                 style: row.style.clone(),
+                mirrored_of: row.mirrored_of.clone(),
             };
             library.add_clip(&stated, motion.fps(), frames)?;
         }

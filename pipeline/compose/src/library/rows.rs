@@ -29,6 +29,8 @@ datasets_spec::table! {
         pub action: Option<String> [""],
         /// Style label
         pub style: Option<String> [""],
+        /// Clip that it mirrors
+        pub mirrored_of: Option<String> [""],
     }
 }
 
@@ -38,6 +40,8 @@ pub(super) struct LibraryRows<'a> {
     skeleton: &'a Skeleton,
     fps: Option<Fps>,
     clips: Vec<Clip>,
+    /// The clips that others mirror, by the ids of these.
+    mirrored: BTreeMap<MotionId, MotionId>,
     annotations: Vec<Edit>,
     pairs: Vec<Edit>,
     texts: Shared<str>,
@@ -51,6 +55,7 @@ impl<'a> LibraryRows<'a> {
             skeleton,
             fps: None,
             clips: Vec::new(),
+            mirrored: BTreeMap::new(),
             annotations: Vec::new(),
             pairs: Vec::new(),
             texts: Shared::default(),
@@ -85,6 +90,10 @@ impl<'a> LibraryRows<'a> {
                 expected: expected.get(),
             });
         }
+        if let Some(original) = &stated.mirrored_of {
+            let original = MotionId::parse(original)?;
+            self.mirrored.insert(stated.id.clone(), original);
+        }
         let mut shared = |text: &str| self.texts.get(text);
         self.clips.push(Clip {
             id: stated.id.clone(),
@@ -104,8 +113,9 @@ impl<'a> LibraryRows<'a> {
         let mut origins = BTreeMap::new();
         for clip in &mut self.clips {
             let next = origins.len();
+            let original = self.mirrored.get(&clip.id).unwrap_or(&clip.id);
             clip.origin = *origins
-                .entry(clip.id.source_clip().to_owned())
+                .entry(original.source_clip().to_owned())
                 .or_insert(next);
         }
         Ok(())

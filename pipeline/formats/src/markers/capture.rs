@@ -10,7 +10,7 @@ use super::label::{Subject, Subjects};
 use super::solve::Solvable;
 use crate::source::ReadOptions;
 use crate::source::unit::{Unit, misfit, suspected};
-use clip::check::FLAG_GAPS_FILLED;
+use clip::check::{FLAG_GAPS_FILLED, FLAG_UP_DOUBTFUL};
 use clip::{Markers, Rejected, RotationSource, SourceClip, rejected};
 
 /// Code of captures whose markers cannot be solved.
@@ -50,6 +50,9 @@ impl Capture {
         clip.flags = flags;
         clip.notes.extend(notes);
         clip.notes.extend(solved.notes);
+        if solved.is_up_doubtful {
+            clip.flags |= FLAG_UP_DOUBTFUL;
+        }
         if solved.gaps > 0 {
             clip.flags |= FLAG_GAPS_FILLED;
             clip.notes.push(format!(

@@ -23,6 +23,7 @@ use super::set::{MarkerSet, Match, marker_sets, nearest};
 use super::worn::{Frames, LabelledMarkers, MIN_SEEN};
 use crate::retarget::body_height;
 use crate::source::ReadOptions;
+use crate::source::Up;
 use crate::source::unit::PERSON_M;
 use clip::Markers;
 
@@ -55,6 +56,8 @@ pub(super) struct Solved {
     pub(super) motion: Motion,
     /// Frames whose pose was interpolated because too few markers were seen.
     pub(super) gaps: usize,
+    /// Whether the person does not stand along the axis that was taken for up.
+    pub(super) is_up_doubtful: bool,
     /// The markers, rotated to y up, in captured size, with the set and the distances from the body's markers.
     pub(super) markers: Markers,
     /// Decisions that a user may want to check.
@@ -71,7 +74,8 @@ pub(super) struct Solvable<'a> {
     /// Frames with enough markers.
     usable: Vec<usize>,
     /// Name of the axis that is up in the file.
-    up: &'static str,
+    up: Up,
+    is_up_clear: bool,
     /// Height of the captured person as a multiple of the body's.
     tall: f64,
     headless: bool,
@@ -93,7 +97,11 @@ impl<'a> Solvable<'a> {
         let frames = Frames::of(&markers, &worn);
         let headless = check_parts(&worn.seen_joints(&frames), set, &missing)?;
         let no_body = || SolveError::no_body(set.name());
-        let (turn, up) = frames.up_turn(&worn).ok_or_else(no_body)?;
+        let (up, is_up_clear) = match options.up {
+            Some(up) => (up, true),
+            None => frames.up(&worn).ok_or_else(no_body)?,
+        };
+        let turn = up.turn();
         for position in &mut markers.positions {
             let turned = turn * DVec3::from_array(position.map(f64::from));
             *position = turned.as_vec3().to_array();
@@ -125,6 +133,7 @@ impl<'a> Solvable<'a> {
             frames,
             usable,
             up,
+            is_up_clear,
             tall,
             headless,
         })
@@ -169,6 +178,7 @@ impl<'a> Solvable<'a> {
         Ok(Solved {
             motion,
             gaps,
+            is_up_doubtful: !self.is_up_clear,
             markers: self.markers,
             notes,
         })

@@ -1,10 +1,10 @@
 //! The markers of a capture that have a placement on the body.
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use super::label::Subject;
 use super::set::MarkerSet;
-use crate::retarget::{axis_name, y_up_from_axis};
+use crate::source::Up;
 use clip::Markers;
 
 /// Minimum number and share of the markers seen in a frame whose pose is solved.
@@ -81,9 +81,11 @@ impl Frames {
         seen >= MIN_SEEN && seen as f64 >= MIN_SEEN_SHARE * points.len() as f64
     }
 
-    /// The rotation to y up, and the name of the file's up axis: the axis nearest to the mean direction from lower to
-    /// upper markers. `None` if there is no such direction.
-    pub(super) fn up_turn(&self, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
+    /// The up axis of the file, the one nearest to the mean direction from lower to upper markers, and whether the person
+    /// stands along it most of the time. `None` if there is no such direction.
+    pub(super) fn up(&self, worn: &LabelledMarkers) -> Option<(Up, bool)> {
+        /// Length of the mean direction along the axis above which the person stands.
+        const CLEAR: f64 = 0.7;
         // Usual height of a joint: heads, chests and hips are above knees and feet. Arms do not count.
         let level = |joint: usize| match joint {
             7 | 8 | 10 | 11 => -1.0,
@@ -92,7 +94,7 @@ impl Frames {
             3 | 6 | 9 | 12..=15 => 1.0,
             _ => 0.0,
         };
-        let mut sum = DVec3::ZERO;
+        let (mut sum, mut num_seen) = (DVec3::ZERO, 0_usize);
         for points in &self.points {
             let seen: Vec<(f64, DVec3)> = points
                 .iter()
@@ -105,20 +107,11 @@ impl Frames {
                 .iter()
                 .map(|(level, point)| *point * (level - middle))
                 .sum();
-            sum += direction.normalize_or_zero();
+            let direction = direction.normalize_or_zero();
+            num_seen += usize::from(direction != DVec3::ZERO);
+            sum += direction;
         }
-        let axis = sum.abs();
-        let largest = axis.max_element();
-        if largest <= 0.0 || !largest.is_finite() {
-            return None;
-        }
-        let up = if axis.z == largest {
-            DVec3::Z * sum.z.signum()
-        } else if axis.y == largest {
-            DVec3::Y * sum.y.signum()
-        } else {
-            DVec3::X * sum.x.signum()
-        };
-        Some((y_up_from_axis(up), axis_name(up)))
+        let along = sum.abs().max_element() / num_seen.max(1) as f64;
+        (along > 0.0 && along.is_finite()).then(|| (Up::nearest(sum), along > CLEAR))
     }
 }

@@ -4,7 +4,6 @@
 //! standing person, `A` follows from geometry ([`by_rest_pose`]). Other sources choose joint frames freely, often with
 //! every bone along x, and their zero pose is arbitrary; then `A` is estimated from the motion ([`by_motion`]).
 
-use std::f64::consts::FRAC_PI_2;
 use std::iter::StepBy;
 use std::ops::Range;
 
@@ -15,6 +14,7 @@ use kinematics::rotation::{arc, slerp};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::track::{Track, TrackRest};
+use crate::source::Up;
 
 /// The constant rotation of each body joint; the identity if the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];
@@ -515,49 +515,18 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
     (mean, total)
 }
 
-/// The rotation that takes an up axis to y.
-pub(crate) fn y_up_from_axis(up: DVec3) -> DQuat {
-    if up.z != 0.0 {
-        DQuat::from_rotation_x(-FRAC_PI_2 * up.z.signum())
-    } else if up.x != 0.0 {
-        DQuat::from_rotation_z(FRAC_PI_2 * up.x.signum())
-    } else if up.y < 0.0 {
-        DQuat::from_rotation_x(2.0 * FRAC_PI_2)
-    } else {
-        DQuat::IDENTITY
-    }
-}
-
-/// The rotation of a source to y up, and the name of its up axis.
+/// The up axis of a source, and whether the person stands along it most of the time.
 ///
 /// The up axis is the mean direction from hips to head. That is unreliable for a person who lies or bends,
 /// so an axis other than y needs a clear majority.
-pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
+pub(super) fn up_of_source(mean_up: DVec3) -> (Up, bool) {
     /// Fraction of the mean direction that must lie along an axis other than y.
     const CLEAR: f64 = 0.7;
     let size = mean_up.abs();
-    let axis = if size.z > CLEAR && size.z > 2.0 * size.y {
-        DVec3::Z * mean_up.z.signum()
-    } else if size.x > CLEAR && size.x > 2.0 * size.y {
-        DVec3::X * mean_up.x.signum()
-    } else if mean_up.y < -CLEAR {
-        DVec3::NEG_Y
-    } else {
-        DVec3::Y
-    };
-    (y_up_from_axis(axis), axis_name(axis))
-}
-
-/// Name of an axis.
-pub(crate) fn axis_name(axis: DVec3) -> &'static str {
-    match (axis.x, axis.y, axis.z) {
-        (x, _, _) if x > 0.0 => "x",
-        (x, _, _) if x < 0.0 => "-x",
-        (_, _, z) if z > 0.0 => "z",
-        (_, _, z) if z < 0.0 => "-z",
-        (_, y, _) if y < 0.0 => "-y",
-        _ => "y",
+    if size.z.max(size.x) > CLEAR.max(2.0 * size.y) || mean_up.y < -CLEAR {
+        return (Up::nearest(mean_up), true);
     }
+    (Up::Y, mean_up.y > CLEAR)
 }
 
 #[cfg(test)]
@@ -592,15 +561,17 @@ mod tests {
         #[test]
         fn any_of_six_ups_becomes_y(axis in 0usize..3, sign in prop::bool::ANY) {
             let up = DVec3::AXES[axis] * if sign { 1.0 } else { -1.0 };
-            let (rotation, _) = y_up_from_source(up);
-            prop_assert!((rotation * up - DVec3::Y).length() < 1e-12);
+            let (axis, is_clear) = up_of_source(up);
+            prop_assert!(is_clear);
+            prop_assert!((axis.turn() * up - DVec3::Y).length() < 1e-12);
+            prop_assert_eq!(axis.to_string().parse(), Ok(axis));
         }
     }
 
     #[test]
     fn a_bow_does_not_turn_the_world_over() {
         let bowing = DVec3::new(0.0, 0.5, 0.86);
-        assert_eq!(y_up_from_source(bowing).1, "y");
+        assert_eq!(up_of_source(bowing), (Up::Y, false));
     }
 
     #[test]

@@ -12,7 +12,6 @@ mod track;
 mod unit;
 mod user_map;
 
-pub(crate) use align::{axis_name, y_up_from_axis};
 pub(crate) use joint_map::bare;
 pub use joint_map::{Mapping, Origin};
 pub(crate) use rig::with_ancestors;
@@ -29,9 +28,10 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 use self::align::{Alignment, SPINE};
 use self::confidence::Evidence;
 use self::track::{Track, TrackRest, leg_length};
-use self::user_map::{RestPose, Up};
+use self::user_map::RestPose;
 use crate::source::ReadOptions;
-use clip::check::FLAG_REFERENCE_DROPPED;
+use crate::source::Up;
+use clip::check::{FLAG_REFERENCE_DROPPED, FLAG_UP_DOUBTFUL};
 use clip::{Rejected, RotationSource, SourceClip};
 use features::floor;
 
@@ -70,8 +70,11 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     if rig.frames().start > 0 {
         notes.push("frame 0 is the zero pose and was dropped".to_owned());
     }
-    let stated_up = user_map.and_then(|map| map.up).map(Up::direction);
-    notes.extend(set_upright(&mut track, stated_up.or_else(|| rig.up())));
+    let named = options.up.filter(|_| rig.up().is_none());
+    let stated_up = named
+        .or(user_map.and_then(|map| map.up))
+        .or_else(|| rig.up());
+    let is_up_doubtful = set_upright(&mut track, stated_up, &mut notes);
     notes.extend(facing_note(&track, mapping.origin));
     let (alignment, origin) = from_rest.unwrap_or_else(|| {
         let alignment = align::by_motion(&track, skeleton);
@@ -93,6 +96,9 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     clip.source_frames = rig.frames();
     if clip.source_frames.start > 0 {
         clip.flags |= FLAG_REFERENCE_DROPPED;
+    }
+    if is_up_doubtful {
+        clip.flags |= FLAG_UP_DOUBTFUL;
     }
     clip.notes = notes;
     Ok(clip)
@@ -131,17 +137,22 @@ fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
     ))
 }
 
-/// Rotates a track to y up. Returns a note if another axis was up.
-fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
-    let (turn, axis) = match stated_up {
-        Some(up) => (y_up_from_axis(up), axis_name(up)),
-        None => align::y_up_from_source(mean_up(track)),
+/// Rotates a track to y up, with a note if another axis was up. Returns whether the axis is doubtful: it is the one along
+/// which the person stands, and they do not stand upright most of the time.
+fn set_upright(track: &mut Track, stated_up: Option<Up>, notes: &mut Vec<String>) -> bool {
+    let (up, is_clear) = match stated_up {
+        Some(up) => (up, true),
+        None => align::up_of_source(mean_up(track)),
     };
-    if axis == "y" {
-        return None;
+    if up != Up::Y {
+        track.turn(up.turn());
+        notes.push(format!("{up} is up in the file"));
+    } else if !is_clear {
+        notes.push(
+            "y was taken for the up axis, although the person does not stand along it".to_owned(),
+        );
     }
-    track.turn(turn);
-    Some(format!("{axis} is up in the file"))
+    !is_clear
 }
 
 /// A note if the feet point backwards, given which side is left and which is right.

@@ -6,6 +6,7 @@ use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
 use crate::source::Unit;
+use crate::source::Up;
 
 /// A bone of a source skeleton.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +82,7 @@ pub trait Rig {
     fn frames(&self) -> Range<usize>;
 
     /// The up axis that the format specifies; `None` if it varies among files.
-    fn up(&self) -> Option<DVec3> {
+    fn up(&self) -> Option<Up> {
         None
     }
 

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::Joint;
-use glam::DVec3;
 use serde::{Deserialize, Serialize};
+
+use crate::source::Up;
 
 /// A joint map, as JSON (the known dialects are such files in `maps/`):
 ///
@@ -26,37 +27,6 @@ pub struct UserMap {
     pub(super) up: Option<Up>,
     /// The source's rest pose.
     pub(super) rest: Option<RestPose>,
-}
-
-/// The up axis of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Up {
-    #[serde(rename = "x")]
-    X,
-    #[serde(rename = "-x")]
-    MinusX,
-    #[serde(rename = "y")]
-    Y,
-    #[serde(rename = "-y")]
-    MinusY,
-    #[serde(rename = "z")]
-    Z,
-    #[serde(rename = "-z")]
-    MinusZ,
-}
-
-impl Up {
-    /// The axis as a direction.
-    pub(super) fn direction(self) -> DVec3 {
-        match self {
-            Self::X => DVec3::X,
-            Self::MinusX => DVec3::NEG_X,
-            Self::Y => DVec3::Y,
-            Self::MinusY => DVec3::NEG_Y,
-            Self::Z => DVec3::Z,
-            Self::MinusZ => DVec3::NEG_Z,
-        }
-    }
 }
 
 /// The pose in which a source stands upright.
@@ -173,7 +143,7 @@ mod tests {
         assert_eq!(map.source_name(Joint::LeftHip), Some("thigh.L"));
         assert_eq!(map.source_name(Joint::RightHip), None);
         assert_eq!(map.unit, Some(0.01));
-        assert_eq!(map.up.map(Up::direction), Some(DVec3::NEG_Z));
+        assert_eq!(map.up, Some(Up::MinusZ));
         assert_eq!(map.rest, Some(RestPose::FirstFrame));
         let plain = UserMap::parse(r#"{"name": "", "joints": {}}"#).expect("valid");
         assert_eq!((plain.unit, plain.up, plain.rest), (None, None, None));

@@ -19,13 +19,29 @@ use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
 use super::head::refuse_pointer;
 use super::stored_labels::StoredLabels;
 use super::{Files, ReadOptions};
-use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
+use clip::check::{
+    FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_ROW_COUNT, FLAG_TELEPORT,
+    FLAG_UP_DOUBTFUL,
+};
 use clip::{Markers, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 /// Flags that cannot be recomputed from the motion.
-const KEPT_FLAGS: u32 =
-    FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_REFERENCE_DROPPED | FLAG_TELEPORT;
+const KEPT_FLAGS: u32 = FLAG_FPS_DOUBTFUL
+    | FLAG_GAPS_FILLED
+    | FLAG_REFERENCE_DROPPED
+    | FLAG_ROW_COUNT
+    | FLAG_TELEPORT
+    | FLAG_UP_DOUBTFUL;
 const CODE: &str = "E-DATASET-FILE";
+
+/// Tables that are read.
+const READ: [&str; 5] = [
+    MotionRow::TABLE,
+    MarkerRow::TABLE,
+    HumanMl3dRow::TABLE,
+    MaskRow::TABLE,
+    PairRow::TABLE,
+];
 
 /// A dataset folder.
 // Bytes per second: the 69 parameters of a frame in f32 at 20 fps, before compression.
@@ -137,17 +153,24 @@ impl StoredDataset {
             let rejected = Rejected::read("E-DATASET-VERSION", reason);
             release.contents.reject(manifest_file, rejected);
         } else {
+            let labels = manifest.rejected_masks();
+            match labels.and_then(|masks| Ok((masks, manifest.rejected_pairs()?))) {
+                Ok(labels) => release.contents.rejected_labels = labels,
+                Err(error) => {
+                    let why = Rejected::read("E-DATASET-VERSION", error.to_string());
+                    return Self::unread(files, root, manifest_file, &why);
+                }
+            }
             for (table, entries) in &manifest.tables {
                 for entry in entries {
                     release.take_file(files, root, manifest_file, table, entry);
                 }
             }
         }
-        let listed: BTreeSet<String> = manifest
-            .tables
-            .values()
-            .flatten()
-            .map(|file| format!("{root}{}", file.path))
+        let tables = manifest.tables.iter();
+        let listed: BTreeMap<String, &str> = tables
+            .flat_map(|(table, files)| files.iter().map(move |file| (file, table.as_str())))
+            .map(|(file, table)| (format!("{root}{}", file.path), table))
             .collect();
         let rejected = release.contents.rejected.iter();
         let rejected: BTreeSet<String> = rejected.map(|(file, _)| file.clone()).collect();
@@ -157,8 +180,11 @@ impl StoredDataset {
             }
             let name = &file[root.len()..];
             if is_beside(name) && !release.shards.contains_key(file) {
-                let reason = match name {
-                    _ if listed.contains(file) => "table of a dataset, read with its motions",
+                let reason = match listed.get(file) {
+                    Some(table) if READ.contains(table) => {
+                        "table of a dataset, read with its motions"
+                    }
+                    Some(_) => "table of a dataset that is not read with its motions",
                     _ if name.starts_with("data/") || name.starts_with("meta/aside/") => {
                         "file of an older version of a dataset"
                     }
@@ -179,13 +205,6 @@ impl StoredDataset {
         table: &str,
         entry: &FileEntry,
     ) {
-        const READ: [&str; 5] = [
-            MotionRow::TABLE,
-            MarkerRow::TABLE,
-            HumanMl3dRow::TABLE,
-            MaskRow::TABLE,
-            PairRow::TABLE,
-        ];
         if !READ.contains(&table) {
             return;
         }

@@ -4,6 +4,8 @@ use std::fmt;
 use std::io::Read;
 use std::path::Path;
 
+use datasets_spec::manifest::RejectedPairs;
+use datasets_spec::rejected::RejectedMasks;
 use datasets_spec::store::Reader;
 use datasets_spec::{Fps, Split};
 
@@ -180,6 +182,13 @@ pub struct Contents {
     pub rejected: Vec<(String, Rejected)>,
     /// Remarks on the splits of the release's motions.
     pub remarks: Vec<String>,
+    /// The files that publish splits of such a release, whether it has them or not; empty if its layout has none.
+    pub publishes_splits: &'static str,
+    /// Masks and pairs that people rejected, by the ids of the entries.
+    pub rejected_labels: (RejectedMasks, RejectedPairs),
+    /// Files that state splits, or which motions share one, and could not be read. The splits of the release's motions
+    /// are unknown as long as there are such files.
+    pub unread_splits: Vec<String>,
 }
 
 /// Ids that a remark names as examples.
@@ -203,6 +212,13 @@ impl Contents {
     /// Rejects a file that was found broken.
     pub(super) fn reject(&mut self, file: impl Into<String>, rejected: Rejected) {
         self.rejected.push((file.into(), rejected));
+    }
+
+    /// Rejects a file that states splits.
+    pub(super) fn reject_splits(&mut self, file: impl Into<String>, rejected: Rejected) {
+        let file = file.into();
+        self.unread_splits.push(file.clone());
+        self.reject(file, rejected);
     }
 
     /// Remarks on ids of a published split that have no motion.

@@ -33,6 +33,7 @@ pub mod stance;
 mod stored_labels;
 pub mod trc;
 pub(crate) mod unit;
+mod up;
 pub mod webdataset;
 
 use std::path::Path;
@@ -44,6 +45,7 @@ use self::labels::ClipLabels;
 pub use self::names::{escaped, name_of_text, text_of_name, unique_keys};
 pub use self::options::ReadOptions;
 pub use self::unit::{Unit, UnitError};
+pub use self::up::{Up, UpError};
 use clip::Outcome;
 
 /// Every source format, in the order in which releases are looked for. To add one, write a folder

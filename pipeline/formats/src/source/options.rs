@@ -6,6 +6,7 @@ use datasets_spec::{Fps, Skeleton};
 
 use super::body_model::Subjects;
 use super::unit::Unit;
+use super::up::Up;
 use crate::markers::MarkerSet;
 use crate::retarget::UserMap;
 
@@ -20,6 +21,8 @@ pub struct ReadOptions {
     pub markers: Option<MarkerSet>,
     /// Unit of the files; it replaces the unit that they state.
     pub unit: Option<Unit>,
+    /// Up axis of the files; it replaces the axis that a joint map states or that the motion shows.
+    pub up: Option<Up>,
     /// The wanted frame rate. Readers that can skip frames interpolate to it at exact times; the others keep the file's
     /// own rate.
     pub rate: Option<Fps>,
@@ -36,6 +39,7 @@ impl Default for ReadOptions {
             user_map: None,
             markers: None,
             unit: None,
+            up: None,
             rate: None,
             lenient: false,
             subjects: None,

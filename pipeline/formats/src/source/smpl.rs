@@ -142,16 +142,12 @@ pub(super) fn rotations_note(skeleton: &Skeleton) -> String {
     format!("rotations drive the body {} as they are", skeleton.name())
 }
 
-/// The rotation of the world that carries z up to y up: `(x, y, z)` becomes `(x, z, -y)`.
-pub fn y_up_from_z_up() -> DQuat {
-    DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)
-}
-
 #[cfg(test)]
 mod tests {
     use kinematics::rotation::from_axis_angle;
 
     use super::*;
+    use crate::source::up::Up;
 
     #[test]
     fn a_world_that_is_turned_keeps_the_body_and_finds_the_floor() {
@@ -162,7 +158,7 @@ mod tests {
             body: vec![[0.25; BODY_POSE_WIDTH]; 2],
             trans: vec![[1.0, 2.0, 3.0], [1.01, 2.0, 3.0]],
         };
-        let motion = parameters.turned(y_up_from_z_up(), Fps::STORE, &skeleton);
+        let motion = parameters.turned(Up::Z.turn(), Fps::STORE, &skeleton);
         let motion = motion.expect("finite");
         assert_eq!(motion.body_pose(), parameters.body);
         let upright = from_axis_angle(DVec3::from_array(motion.global_orient()[0].map(f64::from)));

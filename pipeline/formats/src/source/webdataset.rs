@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::table::PartCaption;
-use datasets_spec::{Fps, Motion};
+use datasets_spec::{Fps, Motion, Split};
 use pickle::npy::read_numbers;
 use serde::Deserialize;
 
@@ -40,7 +40,7 @@ pub const FORMAT: Format = Format {
 #[serde(default)]
 struct Facts {
     id: String,
-    split: Option<String>,
+    split: Option<Split>,
     fps: Option<f64>,
     skeleton: Option<String>,
     captions: Vec<LabelCaption>,
@@ -114,7 +114,7 @@ impl Shards {
                     id if id.is_empty() => key.to_owned(),
                     id => id,
                 },
-                split: facts.split.and_then(|split| split.parse().ok()),
+                split: facts.split,
                 mirrored_of: facts.mirrored_of,
                 ..Entry::default()
             });

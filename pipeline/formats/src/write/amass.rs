@@ -13,7 +13,8 @@ use datasets_spec::{Fps, Motion, Resample, Skeleton};
 use kinematics::rotation::to_axis_angle;
 use pickle::npz::Writer;
 
-use crate::source::smpl::{turn_world, y_up_from_z_up};
+use crate::source::Up;
+use crate::source::smpl::turn_world;
 
 /// Joints of a row of `poses` in the SMPL-H layout.
 const SMPLH_JOINTS: usize = 52;
@@ -59,7 +60,7 @@ pub struct Parameters {
 impl Parameters {
     /// The parameters of a motion on a body, at the motion's rate.
     pub fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
-        let file_from_motion = y_up_from_z_up().conjugate();
+        let file_from_motion = Up::Z.turn().conjugate();
         let (mut root, mut trans) = (Vec::new(), Vec::new());
         for mut pose in motion.poses() {
             turn_world(&mut pose, file_from_motion, skeleton);

@@ -18,7 +18,8 @@ use kinematics::rotation::to_axis_angle;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::Value;
 
-use crate::source::smpl::{turn_world, y_up_from_z_up};
+use crate::source::Up;
+use crate::source::smpl::turn_world;
 
 /// Numbers per frame of `rots`: the root and 21 body joints, axis-angle.
 const ROTATIONS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
@@ -41,7 +42,7 @@ impl Parameters {
     /// The motion cannot be resampled.
     pub fn of(motion: &Motion, skeleton: &Skeleton) -> Result<Self, kinematics::Error> {
         let motion = Resample::Exact.apply(motion, released_fps())?;
-        let z_up = y_up_from_z_up().conjugate();
+        let z_up = Up::Z.turn().conjugate();
         let mut poses = motion.poses();
         for pose in &mut poses {
             turn_world(pose, z_up, skeleton);

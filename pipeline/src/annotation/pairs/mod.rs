@@ -79,6 +79,8 @@ pub struct StylePairs {
     pub rows: Vec<PairRow>,
     /// Styled motions without a neutral motion of the same action, session and split.
     pub alone: Vec<MotionId>,
+    /// Number of pairs whose clips are of two people, as labels say.
+    pub across: usize,
 }
 
 /// Columns of a clip from which pairs are made.
@@ -94,6 +96,10 @@ pub struct LabelledClip {
     pub action: Option<String>,
     /// Style of the clip.
     pub style: Option<String>,
+    /// Person in the clip.
+    pub subject: Option<String>,
+    /// Id of the clip that it mirrors.
+    pub mirrored_of: Option<String>,
 }
 
 impl LabelledClip {
@@ -102,10 +108,24 @@ impl LabelledClip {
     /// # Errors
     /// The table of motions cannot be read.
     pub fn read(dataset: &Dataset) -> Result<Vec<Self>, Error> {
-        let columns = "SELECT id, split, source_path, action, style FROM motions";
+        let columns =
+            "SELECT id, split, source_path, action, style, subject, mirrored_of FROM motions";
         let mut clips: Vec<Self> = Tables::of(dataset)?.ask(columns)?.rows()?;
         clips.retain(|clip| dataset.has_clip(&clip.id));
         Ok(clips)
+    }
+
+    /// Whether both come from one clip: they are crops of it, or mirror it.
+    fn is_of_one_clip(&self, other: &Self) -> bool {
+        let is_mirror_of = |a: &Self, b: &Self| a.mirrored_of.as_deref() == Some(b.id.as_str());
+        self.id.source_clip() == other.id.source_clip()
+            || is_mirror_of(self, other)
+            || is_mirror_of(other, self)
+    }
+
+    /// Whether both clips state who is in them, and these are two people.
+    fn is_of_another_person(&self, other: &Self) -> bool {
+        self.subject.is_some() && other.subject.is_some() && self.subject != other.subject
     }
 }
 
@@ -140,7 +160,7 @@ pub fn style_pairs(motions: &[LabelledClip], config: &PairConfig, seed: Seed) ->
             continue;
         };
         let candidates = neutral.get(&group).into_iter().flatten().copied();
-        let candidates = candidates.filter(|row| row.id.source_clip() != target.id.source_clip());
+        let candidates = candidates.filter(|row| !row.is_of_one_clip(target));
         let take_of_target = take(&target.source_path);
         let (mut same_take, mut others): (Vec<&LabelledClip>, Vec<&LabelledClip>) =
             candidates.partition(|row| take(&row.source_path) == take_of_target);
@@ -158,6 +178,7 @@ pub fn style_pairs(motions: &[LabelledClip], config: &PairConfig, seed: Seed) ->
                 false => &mut same_take,
             };
             let source = candidates.swap_remove(rng.random_range(0..candidates.len()));
+            pairs.across += usize::from(source.is_of_another_person(target));
             pairs.rows.push(PairRow {
                 id: format!("{}-{number}", target.id),
                 split: target.split,
@@ -203,7 +224,28 @@ mod tests {
             source_path: format!("set/{id}.bvh"),
             action: Some(action.to_owned()),
             style: Some(style.to_owned()),
+            subject: None,
+            mirrored_of: None,
         }
+    }
+
+    #[test]
+    fn pairs_of_two_people_are_counted_and_a_clip_is_no_pair_with_its_mirror_image() {
+        let pairs = |subject: Option<&str>, mirrored: bool| {
+            let mut motions = [
+                row("bow", "bow", "neutral", Split::Train),
+                row("bow-old", "bow", "old", Split::Train),
+            ];
+            motions[0].subject = Some("anna".to_owned());
+            motions[1].subject = subject.map(str::to_owned);
+            motions[1].mirrored_of = mirrored.then(|| "bow".to_owned());
+            let made = style_pairs(&motions, &PairConfig::default(), Seed(0));
+            assert_eq!(made.rows.len() + made.alone.len(), 1);
+            (made.rows.len(), made.across)
+        };
+        let of = [Some("anna"), None, Some("bert")].map(|subject| pairs(subject, false));
+        assert_eq!(of, [(1, 0), (1, 0), (1, 1)]);
+        assert_eq!(pairs(Some("anna"), true), (0, 0));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use kinematics::resample;
 
 use super::format::Format;
 use super::options::ReadOptions;
-use super::smpl::y_up_from_z_up;
+use super::up::Up;
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 
@@ -57,7 +57,8 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome,
     } else {
         resample::grid(num_frames, source_fps, target)
     };
-    let motion = parameters.motion_at(&grid, y_up_from_z_up(), target, skeleton)?;
+    let turn = options.up.unwrap_or(Up::Z).turn();
+    let motion = parameters.motion_at(&grid, turn, target, skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.source_frames = 0..num_frames;
     clip.source_fps = source_fps;

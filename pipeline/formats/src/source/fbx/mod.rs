@@ -18,6 +18,7 @@ use super::format::{Format, plausible_fps};
 use super::names::unique_keys;
 use super::options::ReadOptions;
 use crate::retarget::{self, Bone, Placed, Rest, Rig, with_ancestors};
+use crate::source::up::Up;
 use clip::{MAX_FPS, MIN_FPS, Outcome, Rejected, rejected};
 
 /// First bytes of FBX files, binary and text.
@@ -395,9 +396,9 @@ impl Rig for Performance<'_> {
     }
 
     /// If the file states its axes, the scene was rotated to y up.
-    fn up(&self) -> Option<DVec3> {
+    fn up(&self) -> Option<Up> {
         let stated = self.scene.settings.original_axis_up != CoordinateAxis::Unknown;
-        stated.then_some(DVec3::Y)
+        stated.then_some(Up::Y)
     }
 
     fn unit(&self) -> Option<Unit> {

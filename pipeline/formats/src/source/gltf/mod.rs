@@ -70,6 +70,13 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     };
     let mut clip = retarget::clip(&performance, options)?;
     clip.notes.push(format!("animation {}", names[index]));
+    let num_skins = document.root.skins.len();
+    if num_skins > 1 {
+        clip.notes.push(format!(
+            "the file has {num_skins} skins; only the one with the most joints ({}) was read",
+            skin.joints.len()
+        ));
+    }
     if !performance.on_keys {
         clip.notes.push(format!(
             "keys at uneven times were sampled at {} fps",

@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use datasets_spec::Fps;
-use glam::DVec3;
 use gltf::json;
 use gltf::json::accessor::Type;
 use gltf::json::animation::Property;
@@ -14,6 +13,7 @@ use super::document::{Document, accessor_error, limit};
 use super::nodes::{Local, World};
 use super::skeleton::Skeleton;
 use crate::retarget::{Bone, Placed, Rest, Rig};
+use crate::source::up::Up;
 use clip::{Rejected, rejected};
 
 /// Limits on the keys read from one animation and on the frames sampled. Both allow an hour of a whole body at 60 fps.
@@ -134,8 +134,8 @@ impl Rig for Performance<'_> {
     }
 
     /// The specification fixes y as the up axis.
-    fn up(&self) -> Option<DVec3> {
-        Some(DVec3::Y)
+    fn up(&self) -> Option<Up> {
+        Some(Up::Y)
     }
 
     fn rests(&self) -> Vec<Rest> {

@@ -10,7 +10,7 @@ use pickle::npy;
 use super::array::{features, joints, read_array};
 use super::id::{clip_of, mirrored_of};
 use super::index::IndexRow;
-use super::layout::{Layout, layouts};
+use super::layout::{Layout, SPLIT_LISTS, layouts};
 use super::splits::Splits;
 use crate::source::files::Files;
 use crate::source::format::{Contents, Entry, Release, TOO_SHORT, boxed};
@@ -43,7 +43,10 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 impl Folder {
     fn new(layout: Layout) -> Self {
         let splits = Splits::of(layout.lists.values(), |id| clip_of(id).to_owned());
-        let mut contents = Contents::default();
+        let mut contents = Contents {
+            publishes_splits: SPLIT_LISTS,
+            ..Contents::default()
+        };
         let mut notes = BTreeMap::new();
         for id in layout.ids() {
             let (split, note) = splits.get(id);
@@ -104,6 +107,9 @@ impl Folder {
         let layout = &mut self.layout;
         self.contents.passed_over.append(&mut layout.others);
         self.contents.rejected.append(&mut layout.rejected);
+        self.contents
+            .unread_splits
+            .clone_from(&layout.unread_splits);
     }
 }
 

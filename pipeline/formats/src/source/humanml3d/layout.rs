@@ -8,12 +8,15 @@ use super::id::is_id;
 use super::index::{IndexRow, parse_index};
 use crate::source::archive;
 use crate::source::files::Files;
-use clip::Rejected;
+use crate::source::head::refuse_pointer;
+use clip::{Rejected, rejected};
 
 /// Folders of a release.
 const JOINTS_FOLDER: &str = "new_joints";
 const VECTORS_FOLDER: &str = "new_joint_vecs";
 const TEXTS_FOLDER: &str = "texts";
+/// Names of the lists that state splits.
+pub(crate) const SPLIT_LISTS: &str = "train.txt, val.txt and test.txt";
 /// Lists of ids, and the split of each list, if any.
 pub(crate) const LISTS: [(&str, Option<Split>); 5] = [
     ("train.txt", Some(Split::Train)),
@@ -46,6 +49,8 @@ pub struct Layout {
     pub(super) index: Option<(String, BTreeMap<String, IndexRow>)>,
     /// Files that could not be read.
     pub(super) rejected: Vec<(String, Rejected)>,
+    /// Lists of a split that could not be read.
+    pub unread_splits: Vec<String>,
 }
 
 /// Finds HumanML3D folders by their layout.
@@ -100,12 +105,15 @@ impl Layout {
     fn find_companions(&mut self, files: &Files) {
         let root = self.root.clone();
         let nearest = |name: &str| nearest(files, &root, name);
-        for (file, list) in lists_above(files, &root) {
-            match list {
-                Ok(list) => {
-                    self.lists.insert(file, list);
+        for (file, split, ids) in lists_above(files, &root) {
+            match ids {
+                Ok(ids) => {
+                    self.lists.insert(file, (split, ids));
                 }
-                Err(rejected) => self.rejected.push((file, rejected)),
+                Err(rejected) => {
+                    self.unread_splits.extend(split.map(|_| file.clone()));
+                    self.rejected.push((file, rejected));
+                }
             }
         }
         for name in STATISTICS {
@@ -140,15 +148,19 @@ impl Layout {
 /// A list of ids, and its split, if any.
 pub(crate) type List = (Option<Split>, Vec<String>);
 
+/// The file of a list, its split, if any, and its ids, unless they cannot be read.
+type FoundList = (String, Option<Split>, Result<Vec<String>, Rejected>);
+
 /// The [`LISTS`] in the folder or the nearest one above that has them, in their order.
-pub(crate) fn lists_above(files: &Files, root: &str) -> Vec<(String, Result<List, Rejected>)> {
+pub(crate) fn lists_above(files: &Files, root: &str) -> Vec<FoundList> {
     let found = LISTS
         .into_iter()
         .filter_map(|(name, split)| Some((nearest(files, root, name)?, split)));
     found
         .map(|(file, split)| {
             let read = files.read(&file);
-            (file, read.map(|bytes| (split, parse_list(&bytes))))
+            let ids = read.and_then(|bytes| parse_list(&bytes));
+            (file, split, ids)
         })
         .collect()
 }
@@ -170,12 +182,19 @@ fn above(root: &str) -> impl Iterator<Item = &str> {
 }
 
 /// The ids of a list, one on each line.
-pub(crate) fn parse_list(bytes: &[u8]) -> Vec<String> {
-    String::from_utf8_lossy(bytes)
+///
+/// # Errors
+/// `E-LFS-POINTER`, or `E-HML-LIST` if it is no text.
+pub(crate) fn parse_list(bytes: &[u8]) -> Result<Vec<String>, Rejected> {
+    refuse_pointer(bytes)?;
+    let text = str::from_utf8(bytes)
+        .map_err(|error| rejected!("E-HML-LIST", "found no list of ids: {error}"))?;
+    let ids = text
         .trim_start_matches('\u{feff}')
         .lines()
         .map(str::trim)
         .filter(|line| !line.is_empty())
         .map(|line| line.strip_suffix(".npy").unwrap_or(line).to_owned())
-        .collect()
+        .collect();
+    Ok(ids)
 }

@@ -9,6 +9,9 @@ mod splits;
 #[cfg(test)]
 mod tests;
 
+use clip::ReadClip;
+use clip::check::FLAG_FPS_DOUBTFUL;
+use datasets_spec::Skeleton;
 use datasets_spec::record::HUMANML3D_WIDTH;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::npy::Header;
@@ -24,7 +27,7 @@ pub use folder::{find, read_captions};
 pub(crate) use id::clip_of;
 pub use id::{is_id, mirrored_of};
 pub use index::{IndexRow, parse_index};
-pub(crate) use layout::{LISTS, List, lists_above, parse_list};
+pub(crate) use layout::{LISTS, List, SPLIT_LISTS, lists_above, parse_list};
 pub use layout::{Layout, layouts};
 pub(crate) use splits::Splits;
 
@@ -48,12 +51,24 @@ fn recognise_array(head: &[u8]) -> Result<(), String> {
     }
 }
 
+/// Reads an array outside of a release. The 263 columns of a vector are those of HumanML3D, whose rate is 20 fps; arrays of
+/// joints come from many programs.
+fn read_lone(bytes: &[u8], skeleton: &Skeleton) -> ReadClip {
+    let mut clip = read_array(bytes, skeleton)?;
+    if clip.features.is_none() {
+        clip.flags |= FLAG_FPS_DOUBTFUL;
+        clip.notes
+            .push("the array states no frame rate; read at that of HumanML3D, 20 fps".to_owned());
+    }
+    Ok(clip)
+}
+
 /// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
 // Bytes per second: the vectors in f4 at 20 fps.
 pub const FORMAT: Format = Format {
     extensions: &["npy"],
     by_name: |_, head| Some(recognise_array(head)),
-    read: |_, _, bytes, options| read_array(bytes, &options.skeleton).into(),
+    read: |_, _, bytes, options| read_lone(bytes, &options.skeleton).into(),
     find,
     ..Format::of_releases(
         "humanml3d",

@@ -80,15 +80,20 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
         .flat_map(|layout| &layout.texts)
         .map(|(id, file)| (id.as_str(), file.as_str()))
         .collect();
-    let beside = lists_beside(index);
+    let (beside, unread_beside) = lists_beside(index);
     let listed = layouts.iter().flat_map(|layout| layout.lists.values());
     let listed = listed.chain(&beside);
     let splits = Splits::of(listed, |id| humanml3d::clip_of(id).to_owned());
 
     let recordings = recordings(files);
     let index_name = index.file_name().unwrap_or_default().to_string_lossy();
+    let unread = layouts.iter().flat_map(|layout| &layout.unread_splits);
     let mut cuts = Cuts {
-        contents: Contents::default(),
+        contents: Contents {
+            publishes_splits: humanml3d::SPLIT_LISTS,
+            unread_splits: unread.cloned().chain(unread_beside).collect(),
+            ..Contents::default()
+        },
         crops: BTreeMap::new(),
     };
     let mut used = BTreeSet::new();
@@ -121,18 +126,28 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
     Ok(Box::new(cuts))
 }
 
-/// The split lists in the folder of the index, and in the folder of the published repository below it.
-fn lists_beside(index: &Path) -> Vec<List> {
+/// The split lists in the folder of the index, and in the folder of the published repository below it; and those that
+/// cannot be read.
+fn lists_beside(index: &Path) -> (Vec<List>, Vec<String>) {
     let folder = index.parent().unwrap_or(Path::new("."));
-    let read = |name: &str| {
-        [folder.to_owned(), folder.join("HumanML3D")]
-            .iter()
-            .find_map(|folder| fs::read(folder.join(name)).ok())
-    };
-    humanml3d::LISTS
-        .into_iter()
-        .filter_map(|(name, split)| Some((split, humanml3d::parse_list(&read(name)?))))
-        .collect()
+    let folders = [folder.to_owned(), folder.join("HumanML3D")];
+    let (mut lists, mut unread) = (Vec::new(), Vec::new());
+    for (name, split) in humanml3d::LISTS {
+        let mut places = folders.iter().map(|folder| folder.join(name));
+        let Some(path) = places
+            .find(|path| path.exists())
+            .filter(|_| split.is_some())
+        else {
+            continue;
+        };
+        let ids = fs::read(&path).map_err(|error| error.to_string());
+        let ids = ids.and_then(|bytes| humanml3d::parse_list(&bytes).map_err(|why| why.reason));
+        match ids {
+            Ok(ids) => lists.push((split, ids)),
+            Err(reason) => unread.push(format!("{} ({reason})", path.display())),
+        }
+    }
+    (lists, unread)
 }
 
 impl Cuts {

@@ -243,15 +243,19 @@ impl FolderLabels {
         entries: impl Iterator<Item = &'a Entry>,
     ) -> Vec<LabelProblem> {
         let mut used: BTreeSet<*const Clips> = BTreeSet::new();
+        let mut contradicting: BTreeSet<LabelProblem> = BTreeSet::new();
         for entry in entries {
             for (folder, relative) in self.around(files, entry) {
-                let places = folder.naming(&relative, entry).into_iter();
+                let places = folder.naming(&relative, entry);
+                contradicting.extend(folder.contradictions(&places));
+                let places = places.into_iter();
                 used.extend(places.map(|place| std::ptr::from_ref(&folder.clips[place])));
             }
         }
         let unused = self.folders.values().flat_map(|folder| &folder.clips);
         let unused = unused.filter(|clips| !used.contains(&std::ptr::from_ref(*clips)));
         let mut problems: Vec<LabelProblem> = self.problems.clone();
+        problems.extend(contradicting);
         problems.extend(unused.map(|clips| {
             let line = clips
                 .line
@@ -308,6 +312,34 @@ impl Folder {
         }
         let length = |place: &usize| std::cmp::Reverse(self.clips[*place].name.len());
         self.patterns.sort_by_key(length);
+    }
+
+    /// Labels of the same motion by exact names that differ; the first of them is used. `places` are the result of
+    /// [`Folder::naming`].
+    fn contradictions(&self, places: &[usize]) -> Vec<LabelProblem> {
+        let clips = places.iter().map(|place| &self.clips[*place]);
+        let exact: Vec<&Clips> = clips.filter(|clips| !is_pattern(&clips.name)).collect();
+        let line = |clips: &Clips| match clips.line {
+            Some(line) => format!("line {line}"),
+            None => format!("{:?} of {}", clips.name, clips.file),
+        };
+        let mut used: BTreeMap<&str, (String, &Clips)> = BTreeMap::new();
+        let mut found = Vec::new();
+        for clips in exact {
+            for (field, value) in clips.labels.stated() {
+                let (before, first) = used.entry(field).or_insert_with(|| (value.clone(), clips));
+                if *before != value {
+                    let (own, first) = (line(clips), line(first));
+                    found.push(LabelProblem {
+                        file: clips.file.clone(),
+                        reason: format!(
+                            "{own}: {field} {value} was not used: {first} says {before} of the same motion"
+                        ),
+                    });
+                }
+            }
+        }
+        found
     }
 
     /// Indices in `clips` of the labels that name a motion: exact names, then patterns.

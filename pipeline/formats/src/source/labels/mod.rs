@@ -241,6 +241,19 @@ impl Sidecar {
         ]
     }
 
+    /// The labels of which a motion has one each, by their names.
+    fn stated(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let texts = [
+            ("subject", self.subject.clone()),
+            ("action", self.action.clone()),
+            ("style", self.style.clone()),
+            ("license", self.license.clone()),
+            ("split", self.split.map(|split| split.to_string())),
+        ];
+        let texts = texts.into_iter();
+        texts.filter_map(|(name, value)| Some((name, value?)))
+    }
+
     /// Fills missing labels from `farther`, the labels of a more distant source.
     fn fill(&mut self, farther: &Sidecar) {
         if self.captions.is_empty() {

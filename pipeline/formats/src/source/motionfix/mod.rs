@@ -10,14 +10,15 @@ use std::collections::BTreeMap;
 use datasets_spec::{BodyPart, Split};
 use features::released_fps;
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use serde_json::Value as Json;
+use serde_json::{Map, Value as Json};
 
 use super::files::Files;
 use super::format::{Contents, Entry, Format, Release};
 use super::head::{LFS_POINTER, refuse_pointer};
 use super::names::file_name;
 use super::options::ReadOptions;
-use super::smpl::{Parameters, column, rotations_note, y_up_from_z_up};
+use super::smpl::{Parameters, column, rotations_note};
+use super::up::Up;
 use clip::{EditOf, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Options, Value};
@@ -187,17 +188,33 @@ impl MotionFixRelease {
         }
         let read = files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;
-            serde_json::from_slice::<Json>(&bytes)
-                .map_err(|error| rejected!("E-MOTIONFIX-JSON", "found no JSON ({error})"))
+            let content: Map<String, Json> = serde_json::from_slice(&bytes)
+                .map_err(|error| rejected!("E-MOTIONFIX-JSON", "found no JSON object ({error})"))?;
+            let splits = content.iter().filter(|_| !has_parts);
+            let mut lists = splits
+                .filter(|(key, _)| key.parse::<Split>().is_ok())
+                .peekable();
+            match has_parts || lists.peek().is_some() && lists.all(|(_, list)| list.is_array()) {
+                true => Ok(content),
+                false => Err(rejected!(
+                    "E-MOTIONFIX-JSON",
+                    "found no lists of keys under train, val and test"
+                )),
+            }
         });
         let content = match read {
             Ok(content) => content,
-            Err(rejected) => return self.contents.reject(file, rejected),
+            Err(rejected) if has_parts => return self.contents.reject(file, rejected),
+            Err(rejected) => return self.contents.reject_splits(file, rejected),
         };
-        for (key, value) in content.as_object().into_iter().flatten() {
+        let mut unknown: Vec<&str> = Vec::new();
+        for (key, value) in &content {
             if has_parts {
-                let parts = parse_parts(value.as_str().unwrap_or_default());
-                self.parts.insert(key.clone(), parts);
+                let (parts, known) = value.as_str().map_or((Vec::new(), false), parse_parts);
+                // Instructions are trimmed in dumps; some keys of the published file end in a blank.
+                let key = key.trim();
+                unknown.extend((!known).then_some(key));
+                self.parts.insert(key.to_owned(), parts);
             } else if let Ok(split) = key.parse::<Split>() {
                 let ids = value.as_array().into_iter().flatten();
                 let ids = ids.filter_map(|id| match id {
@@ -207,6 +224,12 @@ impl MotionFixRelease {
                 });
                 splits.extend(ids.map(|id| (id, split)));
             }
+        }
+        if let Some(first) = unknown.first() {
+            self.contents.remarks.push(format!(
+                "MotionFix: {} answers of {file} name a part that is not known, or none, such as that to {first:?}",
+                unknown.len()
+            ));
         }
         let reason = "MotionFix label file, read with the motions";
         self.contents.pass_over(file, reason);
@@ -222,12 +245,15 @@ impl MotionFixRelease {
         let found = entries.len();
         // Ids of the added pairs in the split list, by key in `pairs`.
         let mut added: BTreeMap<String, String> = BTreeMap::new();
-        let mut differing = 0u64;
+        let (mut differing, mut odd) = (0u64, 0u64);
         for (key, value) in entries {
             let id = match &key {
                 Value::Str(id) => padded(id),
                 Value::Int(id) => padded(&id.to_string()),
-                _ => continue,
+                _ => {
+                    odd += 1;
+                    continue;
+                }
             };
             let pair = Pair::of(&value);
             let key = match self.pairs.get(&id) {
@@ -250,6 +276,11 @@ impl MotionFixRelease {
             self.contents.remarks.push(format!(
                 "MotionFix: {differing} pairs of {file} have the keys of other pairs in its folder; their ids begin \
                  with the name of their dump, and {SPLITS} does not speak of them"
+            ));
+        }
+        if odd > 0 {
+            self.contents.remarks.push(format!(
+                "MotionFix: {odd} pairs of {file} are left out: their keys are neither texts nor whole numbers"
             ));
         }
         if added.is_empty() {
@@ -327,7 +358,7 @@ impl Release for MotionFixRelease {
             _ => &pair.target,
         };
         let parameters = parameters.as_ref().map_err(Rejected::clone)?;
-        let motion = parameters.turned(y_up_from_z_up(), released_fps(), &options.skeleton)?;
+        let motion = parameters.turned(Up::Z.turn(), released_fps(), &options.skeleton)?;
         let mut clip = SourceClip::new(motion, RotationSource::Native);
         clip.notes = vec![
             "SMPL-H parameters (66 pose columns), z up, placed at the origin".to_owned(),
@@ -408,8 +439,9 @@ fn parameters(motion: &Value) -> Result<Parameters, Rejected> {
 }
 
 /// The parts that an answer such as `Answer: right arm\nleft arm` names. `buttocks` maps to the lower
-/// body, which owns the root; `neck` maps to the head.
-fn parse_parts(answer: &str) -> Vec<BodyPart> {
+/// body, which owns the root; `neck` maps to the head. Also whether all names are known.
+fn parse_parts(answer: &str) -> (Vec<BodyPart>, bool) {
+    let mut all_known = true;
     let answer = answer.trim().trim_start_matches("Answer:").to_lowercase();
     let mut parts: Vec<BodyPart> = answer
         .split(['\n', ','])
@@ -422,7 +454,11 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
                 "torso" => BodyPart::Torso,
                 "neck" | "necks" | "head" => BodyPart::Head,
                 "buttocks" => BodyPart::LowerBody,
-                _ => return None,
+                "" => return None,
+                _ => {
+                    all_known = false;
+                    return None;
+                }
             })
         })
         .collect();
@@ -431,7 +467,7 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
     if parts.contains(&BodyPart::LowerBody) {
         parts.retain(|part| !matches!(part, BodyPart::LeftLeg | BodyPart::RightLeg));
     }
-    parts
+    (parts, all_known)
 }
 
 /// A folder of the MotionFix release.

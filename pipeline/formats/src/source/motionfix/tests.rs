@@ -77,7 +77,8 @@ fn dumps_and_lists_become_pairs() {
         put_dump("motionfix_val", &[up]);
         let splits = r#"{"train": ["000136"], "test": ["000002"]}"#;
         put(dir.path(), "data/splits.json", splits);
-        let labels = format!(r#"{{"{raise}": "Answer: left arm\nneck"}}"#);
+        let labels =
+            format!(r#"{{"{raise} ": "Answer: left arm\nneck", "slower": "Answer: wrists"}}"#);
         put(dir.path(), "deps/gpt/edit/gpt-labels_full.json", labels);
         let files = files_under(dir.path());
         let release = only_release(&files);
@@ -109,7 +110,12 @@ fn dumps_and_lists_become_pairs() {
         assert_eq!(passed, expected);
 
         // 000007 has the split of its dump.
-        assert_eq!(release.contents().remarks.len(), 1);
+        let remarks = &release.contents().remarks;
+        assert_eq!(remarks.len(), 2, "{remarks:?}");
+        assert!(
+            remarks[0].contains("1 answers of") && remarks[0].contains("\"slower\""),
+            "{remarks:?}"
+        );
         let unlisted = clip_of(&*release, &files, "motionfix/000007-target");
         assert_says(&unlisted, "its dump");
 
@@ -207,7 +213,7 @@ fn answers_name_parts() {
         ("Answer: no body parts", &[]),
         ("", &[]),
     ] {
-        assert_eq!(parse_parts(answer), parts, "{answer}");
+        assert_eq!(parse_parts(answer).0, parts, "{answer}");
     }
 }
 
@@ -224,7 +230,7 @@ fn the_real_label_files_are_passed_over_without_a_dump() {
     let labels: BTreeMap<String, String> = serde_json::from_slice(&labels).expect("a map");
     let understood = labels
         .values()
-        .filter(|answer| !parse_parts(answer).is_empty());
+        .filter(|answer| !parse_parts(answer).0.is_empty());
     // All but about twenty answers name a part.
     assert!(understood.count() + 30 > labels.len());
 }

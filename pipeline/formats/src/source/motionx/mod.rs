@@ -16,7 +16,7 @@ use pickle::npy::Header;
 use super::escaped;
 use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, boxed};
-use super::humanml3d::{Splits, add_captions, lists_above};
+use super::humanml3d::{SPLIT_LISTS, Splits, add_captions, lists_above};
 use super::names::{around_folder, is_number};
 use super::options::ReadOptions;
 use clip::ReadClip;
@@ -115,18 +115,19 @@ impl MotionXFolder {
         captions: &BTreeMap<&str, Vec<&str>>,
     ) -> Self {
         let mut folder = Self::default();
+        folder.contents.publishes_splits = SPLIT_LISTS;
         let mut lists = Vec::new();
-        for (file, list) in lists_above(files, root) {
-            match list {
-                Ok(list) => {
+        for (file, split, ids) in lists_above(files, root) {
+            match ids {
+                Ok(ids) => {
                     let reason = "list of motions of Motion-X, no motion";
                     folder.contents.pass_over(&file, reason);
-                    lists.push((file, list));
+                    lists.extend(split.map(|split| (file, (Some(split), ids))));
                 }
+                Err(rejected) if split.is_some() => folder.contents.reject_splits(file, rejected),
                 Err(rejected) => folder.contents.reject(file, rejected),
             }
         }
-        lists.retain(|(_, (split, _))| split.is_some());
         let original = |name: &str| original_of(name).unwrap_or_else(|| name.to_owned());
         let splits = Splits::of(lists.iter().map(|(_, list)| list), original);
         let motions: Vec<(&str, &str)> = files

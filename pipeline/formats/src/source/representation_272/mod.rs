@@ -18,7 +18,7 @@ mod tests;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
-use datasets_spec::Skeleton;
+use datasets_spec::{Skeleton, Split};
 use features::representation_272::{Features, WIDTH, motion_of_features};
 use pickle::npy::{self, Header};
 
@@ -26,7 +26,8 @@ use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, boxed};
 use super::head::refuse_pointer;
 use super::humanml3d::{
-    List, Splits, add_captions, check_length, clip_of, in_single_precision, mirrored_of, parse_list,
+    List, SPLIT_LISTS, Splits, add_captions, check_length, clip_of, in_single_precision,
+    mirrored_of, parse_list,
 };
 use super::names::file_name;
 use super::options::ReadOptions;
@@ -108,6 +109,7 @@ fn starts_with_width(files: &Files, file: &str) -> bool {
 impl Folder {
     fn new(files: &Files, root: &str, clips: &BTreeMap<&str, &str>) -> Self {
         let mut folder = Self::default();
+        folder.contents.publishes_splits = SPLIT_LISTS;
         let mut lists: Vec<List> = Vec::new();
         for file in files.under(root) {
             let inside = &file[root.len()..];
@@ -120,8 +122,14 @@ impl Folder {
                 }
                 continue;
             } else if let Some(list) = text_of(SPLITS) {
-                match files.read(file) {
-                    Ok(bytes) => lists.push((file_name(list).parse().ok(), parse_list(&bytes))),
+                // Other lists, such as all.txt, state no split.
+                let split: Option<Split> = file_name(list).parse().ok();
+                match files.read(file).and_then(|bytes| parse_list(&bytes)) {
+                    Ok(ids) => lists.push((split, ids)),
+                    Err(rejected) if split.is_some() => {
+                        folder.contents.reject_splits(file, rejected);
+                        continue;
+                    }
                     Err(rejected) => {
                         folder.contents.reject(file, rejected);
                         continue;

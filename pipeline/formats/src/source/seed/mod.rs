@@ -56,6 +56,8 @@ const MIRRORED: &str = "_M";
 #[derive(Debug, Default)]
 struct SeedFolder {
     contents: Contents,
+    /// Whether something of the metadata could not be read.
+    is_incomplete: bool,
     motions: BTreeMap<String, Described>,
     timelines: BTreeMap<String, Timeline>,
     /// The file that the temporal labels are from.
@@ -118,7 +120,11 @@ impl SeedFolder {
         let ids: BTreeSet<&str> = motions.iter().map(|file| id_of(root, file)).collect();
         for file in motions {
             let name = stem(file_name(file));
-            if !folder.motions.contains_key(name) && !folder.timelines.contains_key(name) {
+            // What could not be read of the metadata may name it, and say which motion it mirrors.
+            let is_named = folder.motions.contains_key(name)
+                || folder.timelines.contains_key(name)
+                || folder.is_incomplete;
+            if !is_named {
                 continue;
             }
             if is_proportional(file) && uniform.contains(name) {
@@ -138,7 +144,11 @@ impl SeedFolder {
             folder.contents.entries.push(Entry {
                 file: file.to_owned(),
                 id: escaped(id),
-                group: Some(original(name).unwrap_or_else(|| name.to_owned())),
+                // An unnamed motion may be the mirrored copy that its name says.
+                group: Some(match folder.motions.contains_key(name) {
+                    true => original(name).unwrap_or_else(|| name.to_owned()),
+                    false => name.strip_suffix(MIRRORED).unwrap_or(name).to_owned(),
+                }),
                 mirrored_of: original(id)
                     .filter(|original| ids.contains(original.as_str()))
                     .map(|original| escaped(&original)),
@@ -164,6 +174,10 @@ impl SeedFolder {
                 self.motions = motions;
                 problem
             });
+            if read.is_err() {
+                self.contents.unread_splits.push(file.to_owned());
+            }
+            self.is_incomplete = !matches!(read, Ok(None));
             self.account(file, read);
         }
         let newest_temporal = newest(&tables.temporal);

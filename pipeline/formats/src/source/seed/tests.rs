@@ -220,10 +220,10 @@ fn tables_that_are_damaged_are_quarantined_and_what_can_be_is_read() {
     let nan = TIMELINE.replace("0.5", "NaN").into_bytes();
     let pointer = b"version https://git-lfs.github.com/spec/v1\n".to_vec();
     for (table, bytes, code, words, entries) in [
-        (PARQUET, cut, "E-TABLE-FORMAT", "no Parquet file", 0),
-        (PARQUET, pointer.clone(), "E-LFS-POINTER", "git lfs pull", 0),
-        (CSV, other, "E-TABLE-COLUMNS", "filename or move_name", 0),
-        (CSV, short, "E-SEED-LABELS", "line 2: it has 8 fields", 1),
+        (PARQUET, cut, "E-TABLE-FORMAT", "no Parquet file", 2),
+        (PARQUET, pointer.clone(), "E-LFS-POINTER", "git lfs pull", 2),
+        (CSV, other, "E-TABLE-COLUMNS", "filename or move_name", 2),
+        (CSV, short, "E-SEED-LABELS", "line 2: it has 8 fields", 2),
         (LABELS, json, "E-SEED-LABELS", "line 1 holds no labels", 2),
         (LABELS, second, "E-SEED-LABELS", "line 2 holds no labels", 2),
         (LABELS, nan, "E-SEED-LABELS", "line 1 holds no labels", 1),

@@ -24,11 +24,11 @@ pub(super) struct Annotation {
 }
 
 impl Annotations {
-    /// Joins the two files; either may be missing ([`Value::Null`]).
-    pub(super) fn new(masks: &Value, texts: &Value) -> Self {
+    /// Joins the two files; either may be missing.
+    pub(super) fn new(masks: &BTreeMap<String, Value>, texts: &BTreeMap<String, Value>) -> Self {
         let mut pairs: BTreeMap<String, [&Value; 2]> = BTreeMap::new();
         for (side, file) in [masks, texts].into_iter().enumerate() {
-            for (key, value) in file.as_object().into_iter().flatten() {
+            for (key, value) in file {
                 let pair = pairs
                     .entry(motion_id(listed_name(key)))
                     .or_insert([&Value::Null; 2]);
@@ -40,6 +40,11 @@ impl Annotations {
             .map(|(id, [masks, texts])| (id, Annotation::new(masks, texts)))
             .collect();
         Self { by_id }
+    }
+
+    /// Ids of the annotated motions.
+    pub(super) fn ids(&self) -> impl Iterator<Item = &str> {
+        self.by_id.keys().map(String::as_str)
     }
 
     /// Adds the annotation of a motion to its clip.
@@ -96,7 +101,12 @@ impl Annotation {
                 })
                 .collect(),
             Value::Object(map) => map.keys().map(|name| self.parts(name)).collect(),
-            _ => Vec::new(),
+            Value::Null => Vec::new(),
+            other => {
+                self.notes
+                    .push(format!("masks of another form left out: {other}"));
+                Vec::new()
+            }
         };
         masks.into_iter().filter(|mask| !mask.is_empty()).collect()
     }
@@ -134,7 +144,12 @@ impl Annotation {
                 .filter(|(parts, _)| !parts.is_empty())
                 .flat_map(|(parts, texts)| for_each(&parts, texts))
                 .collect(),
-            _ => Vec::new(),
+            Value::Null => Vec::new(),
+            other => {
+                self.notes
+                    .push(format!("part texts of another form left out: {other}"));
+                Vec::new()
+            }
         }
     }
 
@@ -230,14 +245,21 @@ mod tests {
         assert_eq!(odd.masks.len(), 2);
         assert_eq!(odd.notes.len(), 2, "{:?}", odd.notes);
         let none = Annotation::new(&json!(7), &json!(true));
-        assert_eq!(none, Annotation::default());
+        assert_eq!((none.masks.len(), none.notes.len()), (0, 2), "{none:?}");
     }
 
     #[test]
     fn keys_are_found_with_or_without_zeros_and_mirrored_ones_by_both_names() {
-        let masks = json!({"9": "HEAD", "M000009": "LEFT_ARM", "014626.pkl": "TORSO"});
-        let annotations = Annotations::new(&masks, &Value::Null);
-        let ids: Vec<&str> = annotations.by_id.keys().map(String::as_str).collect();
+        let masks = [
+            ("9", "HEAD"),
+            ("M000009", "LEFT_ARM"),
+            ("014626.pkl", "TORSO"),
+        ];
+        let masks = masks
+            .map(|(key, part)| (key.to_owned(), json!(part)))
+            .into();
+        let annotations = Annotations::new(&masks, &BTreeMap::new());
+        let ids: Vec<&str> = annotations.ids().collect();
         assert_eq!(ids, ["000009", "M000009", "M000010"]);
     }
 }

@@ -15,6 +15,7 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::Split;
 use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, PairRow};
 use kinematics::motion::BODY_POSE_WIDTH;
 use pickle::{Value, joblib};
@@ -75,6 +76,9 @@ const TARGET_KEY: &str = "tgt";
 
 /// Largest pickle read, in bytes: an hour at 20 fps takes 20 MB.
 const MAX_PICKLE_LEN: u64 = 256 << 20;
+
+/// Values of JSON files by the names of motions.
+type ByName = BTreeMap<String, Json>;
 
 /// Folders (empty, or ending in `/`) that hold a release.
 fn roots(files: &Files) -> BTreeSet<String> {
@@ -140,7 +144,7 @@ struct StanceRelease {
     details: BTreeMap<(String, String), Detail>,
     annotations: Annotations,
     /// Body part and text of adjustments by file stem, for pickles that lack them.
-    adjustments: Json,
+    adjustments: ByName,
     /// Labels from the export's own files; they replace those of the release's files and lists.
     labels: Option<Labels>,
 }
@@ -150,7 +154,13 @@ impl StanceRelease {
         let mut planner = Planner {
             files,
             root: &root,
-            release: Self::default(),
+            release: Self {
+                contents: Contents {
+                    publishes_splits: "lists in the folder split",
+                    ..Contents::default()
+                },
+                ..Self::default()
+            },
             base_lists: Lists::default(),
             style_lists: Lists::default(),
             adjustment_lists: Lists::default(),
@@ -211,7 +221,10 @@ impl StanceRelease {
         source_id: &str,
         notes: &mut Vec<String>,
     ) -> EditOf {
-        let beside = &self.adjustments[listed_name(file)];
+        let beside = self
+            .adjustments
+            .get(listed_name(file))
+            .unwrap_or(&Json::Null);
         let said = |key: &str| match text_of(pair, key) {
             text if text.is_empty() => beside[key].as_str().unwrap_or_default().to_owned(),
             text => text,
@@ -392,7 +405,7 @@ impl Planner<'_> {
 
     /// Reads the lists and annotations.
     fn read_lists(&mut self) {
-        let (mut masks, mut texts) = (Json::Null, Json::Null);
+        let (mut masks, mut texts) = (ByName::new(), ByName::new());
         let files: Vec<&str> = self.files.under(self.root).collect();
         for file in files {
             if !self.is_as_written(file) {
@@ -405,12 +418,14 @@ impl Planner<'_> {
                 continue;
             }
             match (folder, file_name(rest)) {
-                (REGEN, "mask_all.json") => masks = self.json(file).unwrap_or_default(),
-                (REGEN, "part_annotations.json") => texts = self.json(file).unwrap_or_default(),
+                (REGEN, "mask_all.json") => self.add(file, &mut masks),
+                (REGEN, "part_annotations.json") => self.add(file, &mut texts),
                 (ADJUSTMENT, name)
                     if name.starts_with("adjustment_annotations") && name.ends_with(".json") =>
                 {
-                    self.release.adjustments = self.json(file).unwrap_or_default();
+                    let mut adjustments = std::mem::take(&mut self.release.adjustments);
+                    self.add(file, &mut adjustments);
+                    self.release.adjustments = adjustments;
                 }
                 (SPLIT, _) => self.read_list(file, rest),
                 _ => {}
@@ -427,22 +442,25 @@ impl Planner<'_> {
         let Some(split) = Lists::split_of(stem) else {
             return;
         };
-        let mut lists = Lists::default();
-        match extension {
-            "txt" => match self.files.read(file) {
-                Ok(bytes) => {
-                    lists.take_lines(split, &String::from_utf8_lossy(&bytes));
-                    self.read_with_motions(file);
-                }
-                Err(rejected) => self.release.contents.reject(file, rejected),
+        let parse: fn(Split, &[u8]) -> Result<Lists, String> = match extension {
+            "txt" => |split, bytes| {
+                let text = str::from_utf8(bytes).map_err(|error| error.to_string())?;
+                Ok(Lists::of_lines(split, text))
             },
-            "json" => {
-                if let Some(value) = self.json(file) {
-                    lists.take_json(split, &value);
+            "json" => |split, bytes| {
+                let value: Json =
+                    serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
+                match value.is_array() || value.is_object() {
+                    true => Ok(Lists::of_json(split, &value)),
+                    false => Err("found no list of names".to_owned()),
                 }
-            }
+            },
             _ => return,
-        }
+        };
+        let Some(lists) = self.take(file, |bytes| parse(split, bytes)) else {
+            self.release.contents.unread_splits.push(file.to_owned());
+            return;
+        };
         let all = match section {
             STYLE_TRANSFER => &mut self.style_lists,
             ADJUSTMENT => &mut self.adjustment_lists,
@@ -451,11 +469,31 @@ impl Planner<'_> {
         all.join(lists);
     }
 
-    /// Content of a JSON file of the release; `None` if it is damaged, which is recorded.
-    fn json(&mut self, file: &str) -> Option<Json> {
-        self.take(file, |bytes| {
-            serde_json::from_slice(bytes).map_err(|error| error.to_string())
-        })
+    /// Adds the content of a JSON file of the release, an object with a value for each motion, by the names that lists
+    /// give these. A file of another form is rejected, and so is one that says something else of a motion than a file
+    /// before it.
+    fn add(&mut self, file: &str, known: &mut ByName) {
+        let before = known.clone();
+        let all = self.take(file, |bytes| {
+            let parsed: Json = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
+            let Json::Object(values) = parsed else {
+                return Err("found no object with a value for each motion".to_owned());
+            };
+            let mut all = before;
+            for (key, value) in values {
+                let name = listed_name(&key).to_owned();
+                match all.insert(name, value) {
+                    Some(other) if other != all[listed_name(&key)] => {
+                        return Err(format!(
+                            "another key, or a file before it, says something else of {key:?}"
+                        ));
+                    }
+                    _ => {}
+                }
+            }
+            Ok(all)
+        });
+        known.extend(all.into_iter().flatten());
     }
 
     /// Parses a file of the release; `None` if it is damaged, which is recorded.
@@ -518,6 +556,18 @@ impl Planner<'_> {
             (STYLE_TRANSFER, &self.style_lists),
             (ADJUSTMENT, &self.adjustment_lists),
         ];
+        let StanceRelease {
+            contents,
+            annotations,
+            ..
+        } = &mut self.release;
+        if !base.is_empty() {
+            let named = annotations.ids();
+            let missing = named.filter(|id| !base.contains(*id)).collect();
+            contents.remark_on_listed("STANCE", &format!("{}{REGEN}", self.root), missing);
+        }
+        // Motions wait for lists that cannot be read.
+        let is_all_read = contents.unread_splits.is_empty();
         for (section, lists) in sections {
             let stems = stems_in(section);
             // A release may be incomplete: skip sections without motions.
@@ -529,8 +579,14 @@ impl Planner<'_> {
                 _ => stems.contains(name) || !name.contains('_'),
             });
             let list = format!("{}{SPLIT}/{section}", self.root);
-            let contents = &mut self.release.contents;
             contents.remark_on_listed("STANCE", &list, missing);
+            let absent = lists.absent().filter(|_| is_all_read);
+            contents.remarks.extend(absent.map(|split| {
+                format!(
+                    "STANCE: {list} has no list of {split}; motions that no list names were put into train, and those \
+                     of {split} may be among them"
+                )
+            }));
         }
     }
 

@@ -1,6 +1,6 @@
 //! The split lists of the release.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Split;
 use serde_json::Value;
@@ -12,6 +12,8 @@ use super::name::{listed_name, motion_id, original_of};
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lists {
     names: BTreeMap<String, Split>,
+    /// The splits that have a list.
+    stated: BTreeSet<Split>,
 }
 
 impl Lists {
@@ -25,15 +27,30 @@ impl Lists {
         }
     }
 
-    /// Adds a list of lines.
-    pub(super) fn take_lines(&mut self, split: Split, text: &str) {
+    /// A list of lines.
+    pub(super) fn of_lines(split: Split, text: &str) -> Self {
+        let mut lists = Self::empty(split);
         for line in text.lines() {
-            self.put(split, line);
+            lists.put(split, line);
+        }
+        lists
+    }
+
+    /// A list with every name in a list of names or pairs, or in a map.
+    pub(super) fn of_json(split: Split, value: &Value) -> Self {
+        let mut lists = Self::empty(split);
+        lists.take_json(split, value);
+        lists
+    }
+
+    fn empty(split: Split) -> Self {
+        Self {
+            stated: BTreeSet::from([split]),
+            ..Self::default()
         }
     }
 
-    /// Adds every name in a list of names or pairs, or in a map.
-    pub(super) fn take_json(&mut self, split: Split, value: &Value) {
+    fn take_json(&mut self, split: Split, value: &Value) {
         match value {
             Value::String(name) => self.put(split, name),
             Value::Number(number) => self.put(split, &number.to_string()),
@@ -62,6 +79,7 @@ impl Lists {
 
     /// Adds the names of other lists of the same section.
     pub(super) fn join(&mut self, other: Self) {
+        self.stated.extend(other.stated);
         for (name, split) in other.names {
             self.add(split, name);
         }
@@ -71,6 +89,12 @@ impl Lists {
     pub(super) fn missing(&self, is_there: impl Fn(&str) -> bool) -> Vec<&str> {
         let names = self.names.keys().map(String::as_str);
         names.filter(|name| !is_there(name)).collect()
+    }
+
+    /// The published splits without a list, if there are lists. The release lists validation and test only.
+    pub(super) fn absent(&self) -> impl Iterator<Item = Split> {
+        let expected = [Split::Val, Split::Test].into_iter();
+        expected.filter(|split| !self.stated.is_empty() && !self.stated.contains(split))
     }
 
     /// The split of a name: `train` if no list names it, `None` if there are no lists.
@@ -115,19 +139,18 @@ mod tests {
     #[test]
     fn copies_and_styles_of_a_clip_are_where_the_last_of_them_is() {
         let (mut base, mut style) = (Lists::default(), Lists::default());
-        base.take_lines(Split::Val, "000001\r\nM000002\n\n");
-        base.take_lines(Split::Test, "014619\n");
-        style.take_json(
-            Split::Test,
-            &json!([["000004.pkl", "style/000004_proud.pkl"], 5]),
-        );
-        style.take_json(Split::Test, &json!({"000001_old": 1}));
-        // Names that still end in an extension after their last one is removed.
-        base.take_lines(Split::Test, "run.npy.pkl\n");
-        style.take_json(Split::Test, &json!(["walk.npy_proud.pkl"]));
-        let mut bases = Lists::default();
-        bases.join(base);
-        let splits = Lists::of_clips(&bases, &style);
+        base.join(Lists::of_lines(Split::Val, "000001\r\nM000002\n\n"));
+        // Names may still end in an extension after their last one is removed.
+        base.join(Lists::of_lines(Split::Test, "014619\nrun.npy.pkl\n"));
+        for styled in [
+            json!([["000004.pkl", "style/000004_proud.pkl"], 5]),
+            json!({"000001_old": 1}),
+            json!(["walk.npy_proud.pkl"]),
+        ] {
+            style.join(Lists::of_json(Split::Test, &styled));
+        }
+        assert_eq!(style.absent().collect::<Vec<_>>(), [Split::Val]);
+        let splits = Lists::of_clips(&base, &style);
         for (id, split) in [
             ("000001", Split::Test),
             ("M000001", Split::Test),
@@ -150,9 +173,8 @@ mod tests {
         assert_eq!(Lists::split_of("Val"), Some(Split::Val));
         assert_eq!(Lists::split_of("test"), Some(Split::Test));
         assert_eq!(Lists::split_of("all"), None);
-        let mut lists = Lists::default();
-        assert_eq!(lists.of("a"), None);
-        lists.take_json(Split::Test, &json!(["x/a.pkl"]));
+        assert_eq!(Lists::default().of("a"), None);
+        let lists = Lists::of_json(Split::Test, &json!(["x/a.pkl"]));
         let found = (lists.of("a"), lists.of("b"));
         assert_eq!(found, (Some(Split::Test), Some(Split::Train)));
     }

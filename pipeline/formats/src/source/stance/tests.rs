@@ -85,10 +85,21 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
         ("src", dictionary(&motion(2, 5))),
         ("tgt", dictionary(&motion(3, 5))),
     ]);
-    put("data/adjustment/paired_pickle/a.pkl", &encode(&wordless));
+    for name in ["a", "b"] {
+        let file = format!("data/adjustment/paired_pickle/{name}.pkl");
+        put(&file, &encode(&wordless));
+    }
     let beside = r#"{"a": {"body_part": "left arm", "text": "lower"}}"#;
     let words = "data/adjustment/adjustment_annotations_part.json";
     put(words, beside.as_bytes());
+    // Several files are one; a file of another form, and one that says something else of a motion, are rejected.
+    let other = "data/adjustment/adjustment_annotations_zoo.json";
+    put(other, br#"{"b.pkl": {"body_part": "head", "text": "nod"}}"#);
+    put("data/adjustment/adjustment_annotations_zz.json", b"[]");
+    put(
+        "data/adjustment/adjustment_annotations_zzz.json",
+        br#"{"b": {"text": "shake"}}"#,
+    );
     put("data/adjustment/transfer.py", b"");
     put("data/regen/mask_all.json", b"{broken");
     // The bundle for the official demo is not a release.
@@ -102,12 +113,22 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
         "000001#old",
         "adjustment/a#src",
         "adjustment/a#tgt",
+        "adjustment/b#src",
+        "adjustment/b#tgt",
     ];
     assert_eq!(planned(&*release), expected.map(|id| (id, None, None)));
-    assert_eq!(codes(&*release), ["E-STANCE-JSON", "E-STANCE-NAME"]);
-    let edit = &clip_of(&*release, &files, "adjustment/a#tgt").edits[0];
-    assert_eq!(edit.instruction, "lower");
-    assert_eq!(edit.parts, [BodyPart::LeftArm]);
+    let [broken, name] = ["E-STANCE-JSON", "E-STANCE-NAME"];
+    assert_eq!(codes(&*release), [broken, broken, broken, name]);
+    for (id, text, part) in [
+        ("adjustment/a#tgt", "lower", BodyPart::LeftArm),
+        ("adjustment/b#tgt", "nod", BodyPart::Head),
+    ] {
+        let edit = &clip_of(&*release, &files, id).edits[0];
+        assert_eq!(
+            (edit.instruction.as_str(), &edit.parts[..]),
+            (text, &[part][..])
+        );
+    }
     let pointer = entry_of(&*release, "000002");
     let pointer = release.read(&files, pointer, &ReadOptions::default());
     assert_eq!(pointer.expect_err("no motion").code, "E-LFS-POINTER");
