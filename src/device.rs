@@ -11,7 +11,7 @@ use train::model::pass::{Arithmetic, has_bf16};
 use crate::exit::Exit;
 use crate::report;
 
-static CHOSEN: OnceLock<(Vec<Device>, Arithmetic)> = OnceLock::new();
+static CHOSEN: OnceLock<(Vec<Device>, Arithmetic, DeviceName)> = OnceLock::new();
 
 /// Options of verbs that run a model.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -69,7 +69,7 @@ impl DeviceArgs {
             bf16,
         };
         // Only the first call in a process has an effect.
-        let _ = CHOSEN.set((devices, arithmetic));
+        let _ = CHOSEN.set((devices, arithmetic, self.device));
         Ok(())
     }
 }
@@ -109,8 +109,19 @@ impl TrainDeviceArgs {
     }
 }
 
-fn chosen() -> &'static (Vec<Device>, Arithmetic) {
-    CHOSEN.get_or_init(|| (vec![Device::flex()], Arithmetic::default()))
+fn chosen() -> &'static (Vec<Device>, Arithmetic, DeviceName) {
+    CHOSEN.get_or_init(|| (vec![Device::flex()], Arithmetic::default(), DeviceName::Cpu))
+}
+
+/// What computes models in this process, in words.
+pub(crate) fn described() -> String {
+    let name = chosen().2;
+    match name {
+        DeviceName::Cpu | DeviceName::Ndarray => {
+            format!("{name}, {} threads", rayon::current_num_threads())
+        }
+        DeviceName::Cuda | DeviceName::Wgpu | DeviceName::WgpuKind(_) => name.to_string(),
+    }
 }
 
 pub(crate) fn devices() -> &'static [Device] {

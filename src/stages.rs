@@ -21,7 +21,7 @@ use train::sample::EditTimes;
 use train::system::{Answers, EditConfig, Remarks, SystemSource, answer_items};
 
 use crate::cmd::ingest::summary;
-use crate::device::device;
+use crate::device::{described, device};
 use crate::evaluators::{EvaluatorRuns, report_on_encoder};
 use crate::global::Global;
 use crate::report;
@@ -138,7 +138,7 @@ pub(crate) fn edits(
     note_remarks(&made.remarks);
     made.remarks.write(out)?;
     if let Some(times) = &made.times {
-        per_window(times).write(out)?;
+        per_window(times, described()).write(out)?;
     }
     Ok(made)
 }
@@ -158,7 +158,8 @@ pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String
     Ok(words)
 }
 
-pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
+/// The times of a window on average. `device` says what computed them.
+pub(crate) fn per_window(times: &EditTimes, device: String) -> WindowTimes {
     let windows = times.num_windows.max(1) as f64;
     WindowTimes {
         window: times.window,
@@ -166,6 +167,7 @@ pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
         coordinator_secs: times.coordinator_secs / windows,
         fit_secs: times.fit_secs / windows,
         batch: (times.num_batches > 0).then(|| windows / times.num_batches as f64),
+        device,
     }
 }
 

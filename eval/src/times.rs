@@ -10,7 +10,7 @@ use crate::Error;
 use crate::format::grid::Grid;
 
 /// Seconds per window, by stage.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WindowTimes {
     /// Number of frames in a window.
@@ -25,6 +25,10 @@ pub struct WindowTimes {
     /// was not recorded.
     #[serde(default)]
     pub batch: Option<f64>,
+    /// What computed the windows, such as `cpu, 2 threads`; empty if it was not recorded. Times of two devices do not compare
+    /// two systems.
+    #[serde(default)]
+    pub device: String,
 }
 
 /// File beside a table of edits with the times of making them. The hash of the table does not include it. Committing
@@ -103,6 +107,7 @@ pub fn published() -> impl Iterator<Item = (String, WindowTimes)> {
             coordinator_secs,
             fit_secs,
             batch: Some(1.0),
+            device: "RTX 3090".to_owned(),
         };
     let rows = PUBLISHED.into_iter().map(row);
     rows.map(|times| ("RTX 3090 (published)".to_owned(), times))
@@ -115,6 +120,7 @@ pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
         title: title.to_owned(),
         head: [
             "window",
+            "device",
             "batch",
             "diffusion sampling",
             "body part coordinator",
@@ -133,7 +139,15 @@ pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
                     let text = format!("{batch:.1}");
                     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
                 });
-                let mut row = vec![format!("{}-frame, {name}", times.window), batch];
+                let device = match times.device.as_str() {
+                    "" => "not recorded",
+                    device => device,
+                };
+                let mut row = vec![
+                    format!("{}-frame, {name}", times.window),
+                    device.to_owned(),
+                    batch,
+                ];
                 let secs = [
                     times.diffusion_secs,
                     times.coordinator_secs,
@@ -174,26 +188,35 @@ mod tests {
         }
         let grids = tables(&published().skip(2).collect::<Vec<_>>());
         assert_eq!(grids.len(), 1);
-        assert_eq!(grids[0].rows[0][5], "0.646");
+        assert_eq!(grids[0].rows[0][6], "0.646");
         assert_eq!(grids[0].rows[0].len(), grids[0].head.len());
     }
 
     #[test]
     fn shared_times_of_a_batch_stand_apart_from_latencies() {
         let (_, alone) = published().nth(2).expect("three rows");
-        let batch = |batch| WindowTimes { batch, ..alone };
+        let batch = |batch| WindowTimes {
+            batch,
+            ..alone.clone()
+        };
         let row = |name: &str, times| (name.to_owned(), times);
         let grids = tables(&[
             row("alone", batch(Some(1.0))),
             row("together", batch(Some(42.5))),
             row("before", batch(None)),
             // A system that generates no windows.
-            row("untimed", WindowTimes { window: 0, ..alone }),
+            row(
+                "untimed",
+                WindowTimes {
+                    window: 0,
+                    ..alone.clone()
+                },
+            ),
         ]);
         let check = |grid: &Grid, title: &str, names: &[&str]| {
             assert!(grid.title.starts_with(title), "{}", grid.title);
             let rows = grid.rows.iter();
-            let found: Vec<String> = rows.map(|row| format!("{} {}", row[0], row[1])).collect();
+            let found: Vec<String> = rows.map(|row| format!("{} {}", row[0], row[2])).collect();
             assert_eq!(found, names);
         };
         check(&grids[0], "Latency", &["16-frame, alone 1"]);
@@ -203,5 +226,7 @@ mod tests {
             r#"{"window": 16, "diffusion_secs": 1.0, "coordinator_secs": 0.0, "fit_secs": 0.5}"#;
         let old: WindowTimes = serde_json::from_str(old).expect("readable");
         assert!(!old.is_latency());
+        let cells = |times| tables(&[row("A", times)])[0].rows[0][1].clone();
+        assert_eq!([cells(old), cells(alone)], ["not recorded", "RTX 3090"]);
     }
 }

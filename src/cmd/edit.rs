@@ -24,7 +24,7 @@ use train::work::edits::plan_edits;
 use work::Plan;
 use work::commit_edits;
 
-use crate::device::{DeviceArgs, device};
+use crate::device::{DeviceArgs, described, device};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::session::{surroundings, text_encoder, with_session};
@@ -260,7 +260,7 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
 /// Times of the steps, in the columns of the paper's Table A4.
 fn profile(times: &EditTimes) -> String {
     let name = format!("mean of {}", times.num_windows);
-    let grids = eval::times::tables(&[(name, per_window(times))]);
+    let grids = eval::times::tables(&[(name, per_window(times, described()))]);
     grids.iter().map(Grid::text).collect()
 }
 

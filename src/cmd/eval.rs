@@ -445,6 +445,7 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 "name": name,
                 "window": times.window,
                 "batch": times.batch,
+                "device": times.device,
                 "latency": times.is_latency(),
                 "diffusion_secs": times.diffusion_secs,
                 "coordinator_secs": times.coordinator_secs,

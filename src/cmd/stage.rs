@@ -416,7 +416,7 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
     let done = work::commit(&args.plan, &jobs(), &options, &global.bars())?;
     // Write the times of editing, as `stance edit` does.
     if let Ok(TimesOf { times }) = TimesOf::deserialize(&done.notes) {
-        per_window(&times).write(&done.destination)?;
+        per_window(&times, "the processes of a plan".to_owned()).write(&done.destination)?;
     }
     let quarantined = done
         .accounting
