@@ -239,6 +239,13 @@ fn judge(
     let judgement: Judgement = serde_json::from_str(line).map_err(|error| error.to_string())?;
     let draft = match judgement.mask.as_str() {
         "" => None,
+        // These lines were read before: the mask is gone.
+        id if judgement.verdict == Verdict::Reject
+            && !judgement.drafted.is_empty()
+            && !drafts.contains_key(id) =>
+        {
+            return Ok(None);
+        }
         id => Some(*drafts.get(id).ok_or_else(|| {
             format!("mask {id:?} is not in the dataset; leave `mask` empty to add one")
         })?),
@@ -301,7 +308,12 @@ fn judge(
         author: author.to_owned(),
         accepted_by: None,
     };
-    if draft.is_none() && drafts.contains_key(row.id.as_str()) {
+    let known = drafts.get(row.id.as_str()).filter(|_| draft.is_none());
+    if let Some(known) = known.filter(|known| **known == &row) {
+        // These lines were read before.
+        return Ok(Some((row.id, Some((*known).clone()))));
+    }
+    if known.is_some() {
         return Err(format!(
             "motion already has mask {}; judge that one instead",
             row.id

@@ -348,6 +348,12 @@ fn what_people_rejected_in_a_dataset_goes_along_when_it_is_a_source() {
     stance(&["pairs", arg(&out)]).expect_code(0);
     assert_eq!(masks(&out), before);
     assert_eq!(pairs(&out), paired);
+
+    // They hold for the same files at another rate.
+    let source = dir.path().join("dataset-source");
+    ingest(&[&source], &dataset, &["--fps", "30", "--new-version"], 0);
+    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    assert!(!masks(&dataset).contains_key(&first.id));
 }
 
 #[test]

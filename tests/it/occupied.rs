@@ -115,6 +115,16 @@ fn items_recordings_and_scores_keep_out_of_datasets() {
 }
 
 #[test]
+fn items_and_triplets_keep_out_of_a_training_run() {
+    let bench = Bench::open();
+    for line in ["items @dataset --count 4", "triplets @dataset --count 4"] {
+        let ran = bench.typed(&format!("{line} --out @editor"));
+        ran.expect_refused("editor is no dataset and holds config.json");
+    }
+    bench.train("motionrefit", "editor", "4").expect_code(0);
+}
+
+#[test]
 fn times_and_warnings_stay_with_their_edits_and_untimed_systems_have_no_row() {
     let bench = Bench::open();
     train_nearest(&bench);

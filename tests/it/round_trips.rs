@@ -182,7 +182,12 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     let made = Labelled::new();
     made.with_all_labels();
     let export = made.export("stance");
-    assert_eq!(export["left_out"], json!({}), "{export}");
+    // No layout has a place for what people rejected.
+    assert_eq!(
+        export["left_out"],
+        json!({ "rejected_pairs": REJECTED }),
+        "{export}"
+    );
     let report = made.ingest("stance", "again", &[], 0);
     assert_eq!(report["quarantined"], 0, "{report}");
     assert_eq!(said(made.rows("again")), said(made.rows("dataset")));
@@ -528,6 +533,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
         let said = made.export(layout);
         let expected: BTreeMap<&str, usize> = expected
             .into_iter()
+            .chain([("rejected_pairs", REJECTED)])
             .filter(|(_, count)| *count > 0)
             .collect();
         assert_eq!(said["left_out"], json!(expected), "{layout}");

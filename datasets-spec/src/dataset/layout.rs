@@ -75,10 +75,13 @@ pub(super) fn check_free(store: &dyn Store, root: &Path) -> Result<(), Error> {
     }
 }
 
-/// A file that the first commit to a folder would replace, or a Parquet file under its `data`, where an interrupted
+/// Settings of a training run, beside which a dataset would stand: the run could not go on.
+const CONFIG_OF_RUN: &str = "config.json";
+
+/// A file that the first commit to a folder would replace or stand beside, or a Parquet file under its `data`, where an interrupted
 /// first run leaves none. At a URL, such a run leaves some, and no run replaces or removes others.
 fn occupant(store: &dyn Store, root: &Path) -> Result<Option<String>, Error> {
-    for name in [card::FILE, croissant::FILE] {
+    for name in [card::FILE, croissant::FILE, CONFIG_OF_RUN] {
         let path = root.join(name);
         let size = if_exists(store.size(&path)).map_err(Error::io("read", path))?;
         if size.is_some() {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use datasets_spec::record::{CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, PairRow};
 use datasets_spec::table::{Caption, Cell, PartCaption, Row, read_column};
-use datasets_spec::{Dataset, Fps};
+use datasets_spec::{Dataset, Fps, MotionId};
 use features::released_fps;
 use serde::{Deserialize, Serialize};
 
@@ -161,6 +161,15 @@ fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
             put(&mut counts, "resampled_clips", others.count() as u64);
         }
     }
+    let manifest = clips.dataset().manifest();
+    let is_chosen = |id: &MotionId| ids.contains(id.as_str());
+    let masks = manifest.rejected_masks()?;
+    let masks = masks.values().flatten().filter(|one| is_chosen(&one.clip));
+    put(&mut counts, "rejected_masks", masks.count() as u64);
+    let pairs = manifest.rejected_pairs()?;
+    let pairs = pairs.values().flatten();
+    let pairs = pairs.filter(|pair| pair.iter().all(is_chosen));
+    put(&mut counts, "rejected_pairs", pairs.count() as u64);
     let dataset = clips.dataset();
     let num_chosen = |clips: &[String]| clips.iter().filter(|id| ids.contains(*id)).count();
     if !has(MASKS) {

@@ -14,7 +14,7 @@ use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::rejected::{RejectedMask, RejectedMasks};
-use datasets_spec::table::{Row, read_rows};
+use datasets_spec::table::{Row, read_column, read_rows};
 use datasets_spec::{Dataset, MotionId, NoProgress, Progress, Split, Transaction};
 
 use super::alike::Alike;
@@ -481,7 +481,7 @@ impl Run<'_> {
     }
 
     /// What people rejected, in this dataset and in those that are sources of it.
-    fn rejected_labels(&self) -> Result<(RejectedMasks, RejectedPairs), Error> {
+    fn rejected_labels(&self, tables: &Files) -> Result<(RejectedMasks, RejectedPairs), Error> {
         let base = self.transaction.base();
         let mut masks = base
             .map(Manifest::rejected_masks)
@@ -527,7 +527,41 @@ impl Run<'_> {
         }
         masks.retain(|_, list| !list.is_empty());
         pairs.retain(|_, list| !list.is_empty());
-        Ok((masks, pairs))
+        Ok((self.of_motions_now(masks, tables)?, pairs))
+    }
+
+    /// Rejections of masks for the motions that their files give now: the same file read at another rate gives another
+    /// motion, and a rejection of the mask holds for it too, unless it is one of a range of frames.
+    fn of_motions_now(&self, masks: RejectedMasks, tables: &Files) -> Result<RejectedMasks, Error> {
+        if masks.is_empty() {
+            return Ok(masks);
+        }
+        let mut now: BTreeMap<MotionId, String> = BTreeMap::new();
+        for file in tables.get(MotionRow::TABLE).into_iter().flatten() {
+            let path = self.transaction.root().join(&file.path);
+            let ids = read_column::<MotionRow, MotionId>(&path, "id")?;
+            now.extend(
+                ids.into_iter()
+                    .zip(read_column::<MotionRow, String>(&path, "content_hash")?),
+            );
+        }
+        let recorded = &self.prepared.base.recorded.clips;
+        let before: BTreeMap<&MotionId, &str> = recorded
+            .iter()
+            .map(|clip| (&clip.id, clip.content.as_str()))
+            .collect();
+        let follow = |mut one: RejectedMask| {
+            let is_read_again = self.fates.is_read_again(&one.clip) == Ok(true);
+            let is_of_motion = before.get(&one.clip) == Some(&one.content.as_str());
+            if let (true, Some(content)) = (is_read_again && is_of_motion, now.get(&one.clip)) {
+                one.content.clone_from(content);
+            }
+            one
+        };
+        let lists = masks.into_iter();
+        Ok(lists
+            .map(|(by, list)| (by, list.into_iter().map(follow).collect()))
+            .collect())
     }
 
     /// Tables that were composed of the motions of the previous version.
@@ -564,7 +598,7 @@ impl Run<'_> {
                 plan.all_sources(&prepared.base.recorded),
             ),
         ]);
-        let (masks, rejected_pairs) = self.rejected_labels()?;
+        let (masks, rejected_pairs) = self.rejected_labels(&tables)?;
         if !masks.is_empty() {
             facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&masks));
         }

@@ -85,10 +85,17 @@ impl Restore {
 }
 
 fn restored(done: &Restored) -> String {
+    let rejected = match done.rejected.len() {
+        0 => String::new(),
+        count => {
+            let said = format!("{count} pairs and masks that people rejected since are left out\n");
+            said + &listing(&done.rejected)
+        }
+    };
     if done.is_current {
+        let (version, restored) = (done.version, done.restored);
         return format!(
-            "version {} holds what version {} holds; nothing to do\n",
-            done.version, done.restored
+            "version {version} holds what version {restored} holds; nothing to do\n{rejected}"
         );
     }
     let mut text = format!(
@@ -105,11 +112,7 @@ fn restored(done: &Restored) -> String {
         text += &listing(&ids);
     }
     text += &lost_labels(&done.lost);
-    if !done.rejected.is_empty() {
-        let count = done.rejected.len();
-        text += &format!("{count} pairs and masks that people rejected since are left out\n");
-        text += &listing(&done.rejected);
-    }
+    text += &rejected;
     if !done.left_tables.is_empty() {
         text += &format!(
             "tables of the version before that this one has not: {}\n",

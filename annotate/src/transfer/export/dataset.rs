@@ -49,6 +49,7 @@ impl Exporter<'_> {
         let (mut described, judged, tasks) = self.decided()?;
         let mut masks: Vec<MaskRow> = dataset.read(None)?;
         self.leave_to_others(&masks, &tasks, &mut described)?;
+        self.leave_rejected(&dataset, &mut described)?;
         self.keep_authors(&masks, &mut described);
         masks.retain(|row| !described.contains_key(row.motion_id.as_str()));
         let mut pairs = self.unjudged(&dataset, &judged)?;
@@ -190,8 +191,8 @@ impl Exporter<'_> {
         let message = left.first().map_or_else(String::new, |first| {
             format!(
                 "{} motions keep the masks that people accepted outside this project, for example {} by {}; the answers \
-                 of this project to them were not written: reject those masks with `stance masks --drafts` and \
-                 `--accept`, and export again to write them",
+                 of this project to them were not written: to write them, reject those masks with \
+                 `stance masks --accept`, and reopen the tasks and accept their answers again",
                 left.len(),
                 first.id,
                 first.author
@@ -199,6 +200,40 @@ impl Exporter<'_> {
         });
         self.done
             .report("motions_left_to_others", left.len(), message);
+        Ok(())
+    }
+
+    /// Takes the masks from `described` that somebody else rejected after this project had written them: since its last
+    /// export it has no newer answer, and at that export every rejection of what it wrote ended.
+    fn leave_rejected(
+        &mut self,
+        dataset: &Dataset,
+        described: &mut Described,
+    ) -> Result<(), Error> {
+        let manifest = dataset.manifest();
+        let is_last = manifest.facts.get(STORE_FACT) == Some(&self.done.store);
+        let last: Option<i64> = manifest
+            .facts
+            .get(SEQ_FACT)
+            .and_then(|seq| seq.parse().ok());
+        let Some(last) = last.filter(|_| is_last) else {
+            return Ok(());
+        };
+        let mut lists = manifest.rejected_masks()?;
+        lists.remove(&self.done.store);
+        let rejections = dataset.rejections(&lists)?;
+        let mut left = 0;
+        let written = described.values_mut().filter(|(seq, _)| *seq <= last);
+        for rows in written.filter_map(|(_, rows)| rows.as_mut()) {
+            let before = rows.len();
+            rows.retain(|row| !rejections.has(row));
+            left += before - rows.len();
+        }
+        let message = format!(
+            "{left} masks of this project stay out of the dataset, because others rejected them after its last export: accept \
+             new answers here, or accept them with `stance masks --accept`, to bring them back"
+        );
+        self.done.report("masks_rejected_by_others", left, message);
         Ok(())
     }
 

@@ -71,8 +71,8 @@ fn a_motion_above_its_ground_says_so() {
         words(&strip(&[row], &Style::default()))
     };
     assert!(said(1.0).contains("lowest +1.00 m"), "{}", said(1.0));
-    assert!(said(-0.2).contains("lowest -0.20 m"));
-    assert!(!said(0.05).contains("lowest"));
+    assert!(said(-0.3).contains("lowest -0.30 m"));
+    assert!(!said(0.15).contains("lowest"));
 }
 
 #[test]
