@@ -32,9 +32,12 @@ pub const FLAG_ROW_COUNT: u32 = 1 << 13;
 
 /// The up axis was taken from the posture of a person who does not stand upright most of the time.
 pub const FLAG_UP_DOUBTFUL: u32 = 1 << 14;
+/// Features were asked for on the subject's own body, which is not known: the file does not tell the gender, or the
+/// models are of another kind than its parameters.
+pub const FLAG_BODY_DOUBTFUL: u32 = 1 << 15;
 
 /// The names of all flags, in the order of their bits.
-pub const FLAG_NAMES: [(u32, &str); 15] = [
+pub const FLAG_NAMES: [(u32, &str); 16] = [
     (FLAG_FLOOR_PENETRATION, "floor-penetration"),
     (FLAG_FOOT_SKATE, "foot-skate"),
     (FLAG_CONSTANT_POSE, "constant-pose"),
@@ -50,6 +53,7 @@ pub const FLAG_NAMES: [(u32, &str); 15] = [
     (FLAG_REFERENCE_DROPPED, "reference-dropped"),
     (FLAG_ROW_COUNT, "row-count"),
     (FLAG_UP_DOUBTFUL, "up-doubtful"),
+    (FLAG_BODY_DOUBTFUL, "body-doubtful"),
 ];
 
 /// The names of the flags that are set.

@@ -20,13 +20,14 @@ use super::head::refuse_pointer;
 use super::stored_labels::StoredLabels;
 use super::{Files, ReadOptions};
 use clip::check::{
-    FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_ROW_COUNT, FLAG_TELEPORT,
-    FLAG_UP_DOUBTFUL,
+    FLAG_BODY_DOUBTFUL, FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED,
+    FLAG_ROW_COUNT, FLAG_TELEPORT, FLAG_UP_DOUBTFUL,
 };
 use clip::{Markers, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 /// Flags that cannot be recomputed from the motion.
-const KEPT_FLAGS: u32 = FLAG_FPS_DOUBTFUL
+const KEPT_FLAGS: u32 = FLAG_BODY_DOUBTFUL
+    | FLAG_FPS_DOUBTFUL
     | FLAG_GAPS_FILLED
     | FLAG_REFERENCE_DROPPED
     | FLAG_ROW_COUNT

@@ -62,14 +62,13 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome,
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.source_frames = 0..num_frames;
     clip.source_fps = source_fps;
-    clip.body = parameters.body(options);
-    clip.notes = parameters.notes(skeleton, clip.body.is_some());
+    parameters.describe(&mut clip, skeleton, options);
     clip.notes.extend(subset_note(path));
     if let Some(known) = known {
         clip.notes.push(format!(
             "the file states {stated} fps; {known} fps were taken, as is known of this recording"
         ));
-        clip.flags = FLAG_FPS_DOUBTFUL;
+        clip.flags |= FLAG_FPS_DOUBTFUL;
     }
     Ok(Outcome::Clip(Box::new(clip)))
 }

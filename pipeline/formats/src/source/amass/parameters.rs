@@ -11,7 +11,8 @@ use pickle::npy::Rows;
 
 use crate::source::options::ReadOptions;
 use crate::source::smpl::rotations_note;
-use clip::{Rejected, rejected};
+use clip::check::FLAG_BODY_DOUBTFUL;
+use clip::{Rejected, SourceClip, rejected};
 
 /// The parameters of an archive: z up, at the file's rate, decoded frame by frame on access.
 pub struct Parameters<'a> {
@@ -79,32 +80,44 @@ impl Parameters<'_> {
         vectors
     }
 
-    /// The subject's own body, with the joints that HumanML3D's features use; `None` without a model for these
-    /// parameters.
-    pub(crate) fn body(&self, options: &ReadOptions) -> Option<Skeleton> {
-        let gender = self.gender.as_ref().ok().and_then(Option::as_deref);
-        let is_smplh = self.variant == Variant::SmplH;
-        let subjects = options.subjects.as_ref()?;
-        let body = subjects.body(is_smplh, gender, &self.betas)?;
-        Some(if is_smplh { body } else { smpl_body(&body) })
-    }
-
-    /// Notes on the parameters and how they were used.
-    pub(crate) fn notes(&self, skeleton: &Skeleton, own_body: bool) -> Vec<String> {
-        let mut notes = vec![format!("{} parameters", self.variant.as_str())];
+    /// Gives a clip the subject's own body, with the joints that HumanML3D's features use, if models of bodies are given;
+    /// notes the parameters and how they were used. A body that had to be assumed is flagged.
+    pub(crate) fn describe(
+        &self,
+        clip: &mut SourceClip,
+        skeleton: &Skeleton,
+        options: &ReadOptions,
+    ) {
+        clip.notes
+            .push(format!("{} parameters", self.variant.as_str()));
         let gender = match &self.gender {
             Ok(Some(gender)) => format!("gender {gender}"),
             Ok(None) => "gender not told".to_owned(),
             Err(reason) => format!("gender unknown ({reason})"),
         };
-        notes.push(if own_body {
-            let betas = self.betas.len();
-            format!("{gender}, {betas} betas; features are those of the subject's own body")
-        } else {
-            format!("{gender}, body shape ignored")
+        let known = self.gender.as_ref().ok().and_then(Option::as_deref);
+        let is_smplh = self.variant == Variant::SmplH;
+        let models = options.subjects.as_ref();
+        let body = models.and_then(|models| models.body(is_smplh, known, &self.betas));
+        let is_doubtful = match known {
+            Some("male" | "female") => body.is_none(),
+            _ => true,
+        };
+        if models.is_some() && is_doubtful {
+            clip.flags |= FLAG_BODY_DOUBTFUL;
+        }
+        let betas = self.betas.len();
+        clip.notes.push(match &body {
+            None => format!("{gender}, body shape ignored"),
+            Some(_) if is_doubtful => format!(
+                "{gender}, {betas} betas; features are those of the female body, as HumanML3D takes it"
+            ),
+            Some(_) => {
+                format!("{gender}, {betas} betas; features are those of the subject's own body")
+            }
         });
-        notes.push(rotations_note(skeleton));
-        notes
+        clip.body = body.map(|body| if is_smplh { body } else { smpl_body(&body) });
+        clip.notes.push(rotations_note(skeleton));
     }
 
     /// The motion at the positions of a [`resample::grid`], on the floor, with the world rotated by `turn` to y up.

@@ -113,8 +113,7 @@ pub(super) fn cut(
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     let last = frames.last().copied().unwrap_or(0);
     clip.source_frames = frames.first().copied().unwrap_or(0)..last + 1;
-    clip.body = parameters.body(options);
-    clip.notes = parameters.notes(skeleton, clip.body.is_some());
+    parameters.describe(&mut clip, skeleton, options);
     clip.notes.push(format!(
         "cut from {} of subset {}: every {stride}. frame of {stated} fps, frames {}..{} after a \
          lead-in of {}",

@@ -18,7 +18,7 @@ use crate::source::format::Release;
 use crate::source::humanml3d::IndexRow;
 use crate::source::options::ReadOptions;
 use crate::source::release_tests::{assert_says, entry_of, files_under, planned, why_passed_over};
-use clip::check::FLAG_FPS_DOUBTFUL;
+use clip::check::{FLAG_BODY_DOUBTFUL, FLAG_FPS_DOUBTFUL};
 use clip::{Rejected, RotationSource, SourceClip};
 
 fn row(start: usize, end: Option<usize>) -> IndexRow {
@@ -132,12 +132,16 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
 fn features_are_those_of_the_own_body_where_models_are_given() {
     let mut members = clip_members(240, 165);
     members.push(("betas", npy_f8(&[2], &[2.0, 0.0])));
+    let mut unnamed = members.clone();
+    unnamed.retain(|(name, _)| *name != "gender");
     let tree = Tree::new(&[
         ("KIT/3/kick_left_poses.npz", npz(&members)),
         ("KIT/3/other_poses.npz", npz(&clip_members(240, 156))),
+        ("KIT/3/unnamed_poses.npz", npz(&unnamed)),
         index(&[
             "./pose_data/KIT/3/kick_left_poses.npy,0,20,000000.npy",
             "./pose_data/KIT/3/other_poses.npy,0,20,000001.npy",
+            "./pose_data/KIT/3/unnamed_poses.npy,0,20,000002.npy",
         ]),
     ]);
     let (_folder, subjects) = subjects();
@@ -166,6 +170,17 @@ fn features_are_those_of_the_own_body_where_models_are_given() {
     // The models are of SMPL-X, the clip is of SMPL-H.
     assert!(other.body.is_none());
     assert_says(&other, "body shape ignored");
+    assert_eq!(other.flags, FLAG_BODY_DOUBTFUL);
+    assert_eq!(read("000000").flags, 0);
+    // Without a gender the female body is taken, as HumanML3D does, and the clip says so.
+    assert_says(&read("000002"), "the female body");
+    assert_eq!(read("000002").flags, FLAG_BODY_DOUBTFUL);
+    let without = release.read(
+        &tree.files(),
+        entry_of(&*release, "000001"),
+        &ReadOptions::default(),
+    );
+    assert_eq!(without.expect("the clip is good").flags, 0);
 }
 
 #[test]

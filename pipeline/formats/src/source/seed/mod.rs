@@ -212,12 +212,16 @@ impl SeedFolder {
     }
 }
 
-/// The newest of some tables. Versions are in the names; Parquet is preferred to CSV.
+/// The newest of some tables: versions are numbers in the names. Parquet is preferred to CSV.
 fn newest<'a>(tables: &[&'a str]) -> Option<&'a str> {
-    tables.iter().copied().max_by_key(|file| {
+    tables.iter().copied().max_by_key(|&file| {
         let name = file_name(file);
         let (version, extension) = name.rsplit_once('.').unwrap_or((name, ""));
-        (version.to_owned(), extension == "parquet")
+        let numbers: Vec<u64> = version
+            .split(|letter: char| !letter.is_ascii_digit())
+            .filter_map(|digits| digits.parse().ok())
+            .collect();
+        (numbers, extension == "parquet", version)
     })
 }
 

@@ -126,6 +126,9 @@ fn metadata_and_temporal_labels_become_captions_and_labels() {
         (PARQUET, parquet()),
         ("metadata/seed_metadata_v004.csv", csv().into_bytes()),
         ("metadata/seed_metadata_v003.csv", b"old".to_vec()),
+        // Older, although greater as text.
+        ("metadata/seed_metadata_v04.csv", b"old".to_vec()),
+        ("metadata/seed_metadata_v1.parquet", b"old".to_vec()),
         (LABELS, TIMELINE.as_bytes().to_vec()),
     ]);
     let release = one(&files);
@@ -151,7 +154,7 @@ fn metadata_and_temporal_labels_become_captions_and_labels() {
     assert!(passed_over[rig].contains("no motion"));
     assert!(passed_over[PARQUET].contains("read with the motions"));
     assert!(passed_over["metadata/seed_metadata_v004.csv"].contains("not read"));
-    assert_eq!(passed_over.len(), 2 + 4);
+    assert_eq!(passed_over.len(), 2 + 6);
 
     let read = |index: usize| {
         let clip = release.read(&files, &contents.entries[index], &ReadOptions::default());
