@@ -16,7 +16,8 @@ use crate::util::{
 };
 
 /// What Git leaves in place of a file that Git LFS holds.
-const POINTER: &str = "version https://git-lfs.github.com/spec/v1\noid sha256:0123\nsize 120\n";
+pub(crate) const POINTER: &str =
+    "version https://git-lfs.github.com/spec/v1\noid sha256:0123\nsize 120\n";
 
 /// A release, and the file in it that states splits, or which motions share one.
 struct Published {

@@ -201,6 +201,15 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
         assert_eq!(masks(&dataset), judged);
         verified(&dataset);
     }
+    // A Git LFS pointer in its place says nothing about the clip, which no run prunes.
+    put(&file, crate::published::POINTER);
+    let grown = ingest(&[&source], &dataset, &["--prune"], 3);
+    assert_eq!(grown["growth"]["kept_unread"], json!([id]), "{grown}");
+    assert_eq!(grown["growth"]["kept_unusable"], json!([]), "{grown}");
+    let text = stance(&["ingest", arg(&source), "--prune", "--out", arg(&dataset)]);
+    let text = text.expect_code(3).stdout;
+    assert_has(&text, &["could not be read this time"]);
+    assert_eq!(clips(&dataset), before);
     // The file is restored. Then its clip is pruned while the file is damaged again.
     put(&file, &kept);
     ingest(&[&source], &dataset, &[], 0);

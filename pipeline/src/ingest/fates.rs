@@ -23,8 +23,10 @@ pub(super) enum Fate {
     },
     /// The clip's file is missing, and the clip stays.
     Missing,
-    /// The file no longer gives the clip or could not be read this time, and the clip stays as it was.
+    /// The file no longer gives the clip, and the clip stays as it was.
     Unusable,
+    /// The file could not be read this time, which says nothing about the clip: it stays, also if pruning is asked for.
+    Unread,
     /// The clip is removed, because its file is missing or no longer gives it.
     Pruned {
         is_there: bool,
@@ -59,8 +61,14 @@ impl<'a> Fates<'a> {
     pub(super) fn of(plan: &Plan, recorded: &'a Recorded, prune: bool) -> Self {
         let clips = recorded.clips.iter();
         let unread = plan.unread_files();
-        let is_pruned = |clip: &RecordedClip| prune && !unread.contains(clip.path.as_str());
-        let fates = clips.map(|clip| plan.fate(recorded, clip, is_pruned(clip)));
+        let is_unread = |clip: &RecordedClip| unread.contains(clip.path.as_str());
+        let fates = clips.map(|clip| match plan.fate(recorded, clip) {
+            Fate::Unusable if is_unread(clip) => Fate::Unread,
+            fate if is_unread(clip) => fate,
+            Fate::Unusable if prune => Fate::Pruned { is_there: true },
+            Fate::Missing if prune => Fate::Pruned { is_there: false },
+            fate => fate,
+        });
         let mut fates: Vec<Fate> = fates.collect();
         for item in &plan.items {
             let Some(index) = item.known else { continue };
@@ -95,7 +103,8 @@ impl<'a> Fates<'a> {
             match reread(clip.id.as_str()) {
                 Reread::Ingested => {}
                 Reread::Refused if self.prune => *fate = Fate::Pruned { is_there: true },
-                Reread::Refused | Reread::Unread => *fate = Fate::Unusable,
+                Reread::Refused => *fate = Fate::Unusable,
+                Reread::Unread => *fate = Fate::Unread,
             }
         }
     }
@@ -119,11 +128,13 @@ impl<'a> Fates<'a> {
             .map(|(_, clip)| clip)
     }
 
-    /// Clips that stay although no item of this run gives them: they are elsewhere, missing or unusable.
+    /// Clips that stay although no item of this run gives them: they are elsewhere, missing, unusable or unread.
     pub(super) fn beside(&self) -> impl Iterator<Item = &'a MotionId> + '_ {
         let clips = self.recorded.clips.iter().zip(&self.fates);
-        let stay = clips
-            .filter(|(_, fate)| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
+        let stay = clips.filter(|(_, fate)| {
+            use Fate::{Elsewhere, Missing, Unread, Unusable};
+            matches!(fate, Elsewhere | Missing | Unusable | Unread)
+        });
         stay.map(|(clip, _)| &clip.id)
     }
 
@@ -249,6 +260,7 @@ impl<'a> Fates<'a> {
             moved: moved.map(|item| item.id.clone()).collect(),
             missing: with(|fate| fate == Fate::Missing),
             kept_unusable: with(|fate| fate == Fate::Unusable),
+            kept_unread: with(|fate| fate == Fate::Unread),
             pruned: with(|fate| matches!(fate, Fate::Pruned { .. })),
             ..Growth::default()
         }
@@ -256,15 +268,14 @@ impl<'a> Fates<'a> {
 }
 
 impl Plan {
-    /// Fate of a recorded clip that is not among the items of this run.
-    fn fate(&self, recorded: &Recorded, clip: &RecordedClip, prune: bool) -> Fate {
+    /// Fate of a recorded clip that is not among the items of this run, in a run that does not prune.
+    fn fate(&self, recorded: &Recorded, clip: &RecordedClip) -> Fate {
         let is_there = self.sources.contains_key(&clip.path);
         // A member of an archive that is refused alone is listed by its own path.
         let is_refused = self.notes.unlisted.contains(&clip.path);
         match self.is_of_run(&recorded.sources[clip.source].name, &clip.path) {
             false => Fate::Elsewhere,
             true if is_refused => Fate::Elsewhere,
-            true if prune => Fate::Pruned { is_there },
             true if is_there => Fate::Unusable,
             true => Fate::Missing,
         }

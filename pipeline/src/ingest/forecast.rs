@@ -145,7 +145,7 @@ impl Plan {
                 source.moved.insert(id.clone(), item.entry.file.clone());
             }
             match fates.of_clip(&clip.id) {
-                Some(Fate::Kept | Fate::Elsewhere) | None => source.equal.push(id),
+                Some(Fate::Kept | Fate::Elsewhere | Fate::Unread) | None => source.equal.push(id),
                 Some(Fate::ReadAgain { is_same_file: true }) => source.read_again.push(id),
                 Some(Fate::ReadAgain { .. }) => source.changed.push(id),
                 Some(Fate::Missing) => source.missing.push(id),

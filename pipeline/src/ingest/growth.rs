@@ -20,9 +20,10 @@ pub struct Growth {
     pub moved: Vec<String>,
     /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
-    /// Clips whose files exist and no longer give them (damaged, without the key, or not asked for), or could not be
-    /// read this time. They stay unchanged.
+    /// Clips whose files exist and no longer give them (damaged, without the key, or not asked for). They stay unchanged.
     pub kept_unusable: Vec<String>,
+    /// Clips whose files could not be read this time. They stay unchanged, also in a run that prunes.
+    pub kept_unread: Vec<String>,
     /// Clips that were removed, because pruning was requested.
     pub pruned: Vec<String>,
     /// Masks and pairs that stay.

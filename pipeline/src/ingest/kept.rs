@@ -76,7 +76,7 @@ impl Fates<'_> {
         id: &'a MotionId,
     ) -> Result<bool, (&'a MotionId, String)> {
         let reason = match self.of_clip(id) {
-            Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
+            Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable | Fate::Unread) => {
                 return Ok(false);
             }
             Some(Fate::ReadAgain { is_same_file: true }) => return Ok(true),

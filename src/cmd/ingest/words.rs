@@ -9,6 +9,8 @@ use crate::report::{accounted, append_list};
 /// Message about clips that stay although their files are missing or no longer contain them.
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
+const UNREAD: &str =
+    "kept as they were, their files could not be read this time; run the same command again";
 
 pub(super) fn foreseen(told: &Forecast) -> String {
     let mut text = "nothing was written\n".to_owned();
@@ -177,6 +179,7 @@ fn grown(growth: &Growth) -> String {
         ("moved", &growth.moved),
         (MISSING, &growth.missing),
         (UNUSABLE, &growth.kept_unusable),
+        (UNREAD, &growth.kept_unread),
         ("pruned", &growth.pruned),
     ] {
         text += &listed(what, clips);
