@@ -82,14 +82,12 @@ pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> 
 }
 
 /// Whether an answer agrees with an imported one. Optional fields that the imported answer leaves empty do not count,
-/// because most layouts cannot represent all of them.
+/// because most layouts cannot represent all of them. Neither does the order of masks: tables sort them by their ids.
 pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
     let kinds = (ours.kind(), imported.kind());
     let (ours, imported) = (ours.fields(), imported.fields());
-    let mut masks = ours.masks.iter().zip(imported.masks);
     kinds.0 == kinds.1
-        && ours.masks.len() == imported.masks.len()
-        && masks.all(|(ours, imported)| says_mask(ours, imported))
+        && say_masks(&ours.masks.iter().collect::<Vec<_>>(), imported.masks)
         && (ours.verdict, ours.parts) == (imported.verdict, imported.parts)
         && is_given(ours.count_reason, imported.count_reason)
         && is_given(ours.edit_type, imported.edit_type)
@@ -97,6 +95,20 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         && is_given(ours.extent, imported.extent)
         && ours.text.trim() == imported.text.trim()
         && (imported.note.is_empty() || ours.note == imported.note)
+}
+
+/// Whether the masks agree one by one in some order.
+fn say_masks(ours: &[&MaskAnswer], imported: &[MaskAnswer]) -> bool {
+    let Some((first, others)) = imported.split_first() else {
+        return ours.is_empty();
+    };
+    let mut places = (0..ours.len()).filter(|&place| says_mask(ours[place], first));
+    ours.len() == imported.len()
+        && places.any(|place| {
+            let mut left = ours.to_vec();
+            left.remove(place);
+            say_masks(&left, others)
+        })
 }
 
 fn says_mask(ours: &MaskAnswer, imported: &MaskAnswer) -> bool {
@@ -540,6 +552,13 @@ mod tests {
             masks[1].soft = false;
         });
         assert!(says(&ours, &plain) && !says(&plain, &ours));
+        // Tables sort masks by their ids, and the first of these agrees with both of ours.
+        let turned = two_arms(|masks| masks[1].range = Some([0, 20]));
+        assert!(says(&ours, &turned));
+        let ranges = |masks: &mut [MaskAnswer]| {
+            masks.iter_mut().for_each(|mask| mask.range = Some([0, 20]));
+        };
+        assert!(!says(&ours, &two_arms(ranges)));
         let longer = two_arms(|masks| masks[0].range = Some([0, 21]));
         assert!(!says(&ours, &longer));
         // Without its soft ring, a mask equals one whose ring joints are all excluded.

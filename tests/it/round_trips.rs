@@ -418,7 +418,30 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     let tables = made.annotate("store.sqlite", &["export"]);
     let counts = &tables["counts"];
     assert_eq!(counts["left_out_extents"], 6, "{tables}");
-    assert_eq!(counts["left_out_rejected_pairs"], REJECTED, "{tables}");
+    // The manifest keeps the rejected pairs.
+    assert_eq!(counts["pairs_judged"], 12 + 6, "{tables}");
+    assert!(counts["left_out_rejected_candidates"].is_null(), "{tables}");
+
+    // A part of the dataset takes what is about its motions.
+    let (dataset, part) = (made.path("dataset"), made.path("part"));
+    let held = &answers[0].motion_id;
+    let of_one = format!("id = '{held}'");
+    typed(
+        "dataset select {} --where {} --out {}",
+        &[&dataset, &of_one, &part],
+    )
+    .expect_code(0);
+    let part = |words: &[&str]| made.annotate_of("part", "part.sqlite", words);
+    part(&["import"]);
+    let counts = part(&["import", arg(&table)])["counts"].clone();
+    let is_held = |row: &&AnnotationRow| {
+        let target = row.target_id.as_ref();
+        row.motion_id == *held && target.is_none_or(|id| id == held)
+    };
+    let kept = answers.iter().filter(is_held).map(|row| &row.task);
+    let kept: BTreeSet<&String> = kept.collect();
+    assert!(!kept.is_empty() && kept.len() < tasks.len());
+    assert_eq!(counts["unknown_ids"], tasks.len() - kept.len(), "{counts}");
 }
 
 /// A project with unfinished work moves to another computer: to the same dataset, and to one that was ingested again

@@ -16,11 +16,12 @@ use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, CountReason, EditType, Extent, MaskAnswer, TaskKind, Verdict};
 
 /// Imports the table `annotations` of an export: every answer fills its task if nobody has worked on it, or becomes a
-/// new, accepted task. Answers to tasks with another answer are left out and reported.
+/// new, accepted task. Answers to tasks with another answer, and answers about motions that the store does not know,
+/// are left out and reported.
 ///
 /// # Errors
-/// The file cannot be read, names a motion that is unknown or has another content, or holds an invalid answer; then
-/// nothing is imported.
+/// The file cannot be read, the store knows none of its motions, a motion has another content, or an answer is invalid;
+/// then nothing is imported.
 pub fn from_annotations(
     store: &Store,
     path: &Path,
@@ -35,6 +36,24 @@ pub fn from_annotations(
     for row in rows {
         groups.entry(row.task.clone()).or_default().push(row);
     }
+    let is_known = |row: &AnnotationRow| {
+        let mut named = std::iter::once(&row.motion_id).chain(&row.target_id);
+        named.all(|id| motions.contains_key(id))
+    };
+    let num_answers = groups.len();
+    groups.retain(|_, rows| is_known(&rows[0]));
+    let unknown = num_answers - groups.len();
+    if unknown > 0 && groups.is_empty() {
+        let problem = format!(
+            "this project has the motions of none of its {num_answers} answers; import their dataset first"
+        );
+        return Err(Error::import(path.display().to_string(), problem));
+    }
+    taken.report("unknown_ids", unknown, || {
+        format!(
+            "{unknown} of {num_answers} answers are about motions that are not in this dataset, and are left out"
+        )
+    });
     for mut group in groups.into_values() {
         group.sort_by_key(|row| row.number);
         let what = || format!("task {:?} of {}", group[0].task, path.display());
@@ -58,9 +77,7 @@ fn annotation_task(
 ) -> Result<NewTask, String> {
     let first = &rows[0];
     let find = |id: &str, exported: Option<&String>| {
-        let motion = motions
-            .get(id)
-            .ok_or_else(|| format!("motion {id:?} is not known; import its dataset first"))?;
+        let motion = &motions[id];
         match exported.filter(|hash| **hash != motion.hash) {
             Some(exported) => Err(format!(
                 "motion {id:?}: {}",

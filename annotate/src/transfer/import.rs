@@ -263,7 +263,17 @@ pub fn from_dataset(
     let mut tasks = mask_tasks(&whole, &dataset, &chosen, &mut taken)?;
     let pairs: Vec<PairRow> = dataset.read(None)?;
     tasks.extend(tasks_of_pairs(pairs.iter(), &by_id, &mut taken));
-    let takes = candidates(store, &chosen, &pairs)?;
+    let rejected = whole.manifest().rejected_pairs()?;
+    let of_table = pairs.iter().map(|pair| (&pair.source_id, &pair.target_id));
+    let of_people = rejected
+        .values()
+        .flatten()
+        .map(|[source, target]| (source, target));
+    let judged = of_table.chain(of_people);
+    let judged = judged
+        .map(|(source, target)| (source.as_str(), target.as_str()))
+        .collect();
+    let takes = candidates(store, &chosen, &judged)?;
     let count: usize = takes.values().map(Vec::len).sum();
     taken.count("candidates", count as i64);
     // Pairs that were made for an instruction come before candidates.
@@ -665,17 +675,13 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
 }
 
 /// Tasks of candidate pairs, by the name of their bundles. The clips of an action and split are sorted by style, and
-/// each is paired with the next. Two clips are judged only once: pairs of the dataset are not candidates, nor are pairs
-/// that people judged unusable, which are no longer in the dataset.
+/// each is paired with the next. Two clips are judged only once: `known` are the pairs of the dataset and those that
+/// people rejected in any project, which are no candidates.
 fn candidates(
     store: &Store,
     chosen: &[&Clip],
-    pairs: &[PairRow],
+    known: &BTreeSet<(&str, &str)>,
 ) -> Result<BTreeMap<String, Vec<NewTask>>, Error> {
-    let known: BTreeSet<(&str, &str)> = pairs
-        .iter()
-        .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))
-        .collect();
     let judged: BTreeMap<(String, String), String> = store
         .pairs()?
         .into_iter()

@@ -572,6 +572,35 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
 }
 
 #[test]
+fn projects_that_judge_a_pair_differently_say_so_at_each_export() {
+    const OVER: [&str; 2] = ["pairs_accepted_over_others", "pairs_rejected_over_others"];
+    let site = annotated();
+    let folder = site.folder.path().join("unused");
+    let counted = |store: &Store| {
+        let counts = write_to(&site, store, &folder, ExportFormat::Dataset).counts;
+        OVER.map(|what| counts.get(what).copied().unwrap_or_default())
+    };
+    let first = site.store.as_ref();
+    let second = fresh_store(&site, "second.sqlite");
+    judge(&second, "pair:fine-grained0", Verdict::Unnatural);
+    assert_eq!(counted(first), [0, 0]);
+    assert_eq!(counted(&second), [0, 1]);
+    assert_eq!(counted(first), [1, 0]);
+    assert_eq!(counted(first), [0, 0], "nobody judged in between");
+    assert_eq!(counted(&second), [0, 1]);
+
+    // The manifest names the pairs that people rejected, and candidates are none yet.
+    let lost = |store: &Store| {
+        let counts = write_to(&site, store, &folder, ExportFormat::Dataset).counts;
+        counts.get("left_out_rejected_candidates").copied()
+    };
+    assert_eq!(lost(&second), None);
+    judge(&second, "takes:clip12|clip13", Verdict::Unnatural);
+    assert_eq!(lost(&second), Some(1));
+    sound(&site);
+}
+
+#[test]
 fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
     let site = annotated();
     let store = site.store.as_ref();
@@ -797,6 +826,18 @@ fn candidates_are_made_of_every_clip_and_variants_of_a_motion_are_no_mask_tasks(
     let funnel = store.funnel().expect("counts");
     let masks = funnel.iter().filter(|row| row.0 == TaskKind::MaskText);
     assert_eq!(masks.map(|row| row.2).sum::<i64>(), CLIPS as i64 - 2);
+}
+
+#[test]
+fn a_pair_that_one_project_rejected_is_no_candidate_of_another() {
+    let site = annotated();
+    let candidates =
+        |name: &str| take_dataset(&site, &empty_store(&site, name)).counts["candidates"];
+    let before = candidates("before.sqlite");
+    assert!(pair_rows(&site).contains_key("fine-grained1"));
+    commit_answers(&site, &site.store);
+    assert!(!pair_rows(&site).contains_key("fine-grained1"));
+    assert_eq!(candidates("after.sqlite"), before);
 }
 
 #[test]

@@ -182,7 +182,7 @@ pub(super) enum Action {
         /// Layout: the dataset's own tables masks and pairs, Parquet tables, the STANCE release's JSON, or CSV
         ///
         /// `parquet` and `stance` can be imported again without loss. `dataset` leaves out notes, reasons, extents and
-        /// rejected pairs. `csv` has the answers of each person for spreadsheets; it is not imported, and leaves out
+        /// rejected candidates. `csv` has the answers of each person for spreadsheets; it is not imported, and leaves out
         /// what reviewers merged. What is left out is counted.
         #[arg(long, default_value = "dataset", value_parser = ["dataset", "parquet", "stance", "csv"])]
         format: String,

@@ -136,7 +136,7 @@ impl Exporter<'_> {
         let (mut described, mut judged) = (Described::new(), Judged::new());
         let mut tasks = TasksOf::new();
         self.each_accepted(|exporter, accepted| {
-            count_losses(&accepted.answer, &mut exporter.done);
+            count_losses(&accepted, &mut exporter.done);
             if accepted.task.kind == TaskKind::MaskText {
                 let motion = exporter.ids(&accepted.task)?.0;
                 let is_bare = accepted.answer.fields().masks.is_empty();
@@ -259,15 +259,27 @@ impl Exporter<'_> {
     /// it; under that of a rejected one it stays.
     fn unjudged(&mut self, dataset: &Dataset, judged: &Judged) -> Result<Vec<PairRow>, Error> {
         let mut pairs: Vec<PairRow> = dataset.read(None)?;
-        let mut replaced = 0;
+        // After an export of this store, what people accepted was accepted here.
+        let is_own = dataset.manifest().facts.get(STORE_FACT) == Some(&self.done.store);
+        let (mut replaced, mut contradicted) = (0, 0);
         pairs.retain(|pair| match judged.get(&pair.id) {
             None => true,
             Some((_, Judgement::Kept(row))) => {
                 replaced += usize::from(clips_of_pair(row) != clips_of_pair(pair));
                 false
             }
-            Some((_, Judgement::Rejected(clips))) => *clips != clips_of_pair(pair),
+            Some((_, Judgement::Rejected(clips))) => {
+                let stays = *clips != clips_of_pair(pair);
+                contradicted += usize::from(!stays && !is_own && pair.accepted_by.is_some());
+                stays
+            }
         });
+        let message = format!(
+            "{contradicted} pairs left the dataset that another project may have accepted, because this one rejects them: the \
+             next export of that project brings them back, so let one of the two decide"
+        );
+        self.done
+            .report("pairs_rejected_over_others", contradicted, message);
         let message = format!(
             "{replaced} pairs left the dataset for accepted pairs of the same ids and another source clip"
         );
@@ -277,8 +289,9 @@ impl Exporter<'_> {
 
     /// The rejected pairs of all stores after this export. The list of this store becomes that of its accepted
     /// rejections; in splits that are not exported it stays. A pair that this store accepts leaves all lists.
-    fn rejected(&self, dataset: &Dataset, judged: &Judged) -> Result<RejectedPairs, Error> {
+    fn rejected(&mut self, dataset: &Dataset, judged: &Judged) -> Result<RejectedPairs, Error> {
         let mut all = dataset.manifest().rejected_pairs()?;
+        let mut contradicted = 0;
         let own = all.entry(self.done.store.clone()).or_default();
         own.retain(|[source, _]| self.is_unwanted(source));
         for (id, (_, judgement)) in judged {
@@ -292,12 +305,20 @@ impl Exporter<'_> {
         for (_, judgement) in judged.values() {
             if let Judgement::Kept(row) = judgement {
                 let clips = clips_of_pair(row);
-                all.values_mut().for_each(|list| {
-                    list.remove(&clips);
-                });
+                let mut is_contradicted = false;
+                for (store, list) in &mut all {
+                    is_contradicted |= list.remove(&clips) && *store != self.done.store;
+                }
+                contradicted += usize::from(is_contradicted);
             }
         }
         all.retain(|_, list| !list.is_empty());
+        let message = format!(
+            "{contradicted} pairs are in the dataset that another project rejected, because this one accepts them: the next \
+             export of that project takes them out, so let one of the two decide"
+        );
+        self.done
+            .report("pairs_accepted_over_others", contradicted, message);
         Ok(all)
     }
 
@@ -526,14 +547,19 @@ fn clips_of(dataset: &Dataset) -> Result<Clips, Error> {
     Ok(clips)
 }
 
-/// Counts the parts of an answer that the tables cannot hold.
-fn count_losses(answer: &Answer, done: &mut Exported) {
-    let said = answer.fields();
+/// Counts the parts of an answer that the dataset cannot hold. A rejected pair is a fact of the manifest, unless it is a
+/// candidate.
+fn count_losses(accepted: &AcceptedAnswer, done: &mut Exported) {
+    let said = accepted.answer.fields();
+    let is_candidate = pair_id(&accepted.task.key).starts_with(CANDIDATE);
     for (what, is_lost) in [
         ("left_out_notes", !said.note.is_empty()),
         ("left_out_reasons", said.count_reason.is_some()),
         ("left_out_extents", said.extent.is_some()),
-        ("left_out_rejected_pairs", answer.is_reject()),
+        (
+            "left_out_rejected_candidates",
+            is_candidate && accepted.answer.is_reject(),
+        ),
     ] {
         done.lose(what, usize::from(is_lost));
     }
