@@ -8,7 +8,10 @@ use datasets_spec::record::{EditRow, MotionRow, NormalizerRow, PairRow, TripletR
 use datasets_spec::table::Row;
 use serde_json::Value;
 
-use crate::util::{Folder, arg, assert_has, files_with_extension, json_of, number_of, stem_of};
+use crate::util::{
+    Folder, arg, assert_has, dataset_of, files_with_extension, json_of, number_of, rows_of,
+    stem_of, typed,
+};
 
 /// One take of 26 actions in six styles.
 const CLIPS: usize = 156;
@@ -174,5 +177,25 @@ fn the_examples_build_datasets() {
         for made in ["pairs", "recorded"] {
             assert!(number_of(&built[made]) > 0.0, "{out}");
         }
+    }
+}
+
+#[test]
+fn a_split_without_clips_is_said_to_be_empty() {
+    let (dir, dataset) = dataset_of(1, &[]);
+    typed("masks {}", &[&dataset]).expect_code(0);
+    let own = rows_of::<MotionRow>(&dataset)[0].split;
+    let out = dir.path().join("items");
+    for split in ["train", "val", "test"] {
+        let ran = typed(
+            "items {} --split {} --count 4 --out {}",
+            &[&dataset, &split, &out],
+        );
+        let refused = ran.refusal();
+        assert_eq!(
+            refused.contains(&format!("is in split {split}; choose another split")),
+            split != own.as_str(),
+            "{refused}"
+        );
     }
 }

@@ -27,6 +27,18 @@ pub enum Error {
         .0.display()
     )]
     UnequalWindows(PathBuf),
+    /// No clip is in a split.
+    #[error(
+        "no clip of {} is in split {split}; choose another split, or name clips of it with `stance ingest --splits FILE` into a \
+         new folder",
+        path.display()
+    )]
+    NoClips {
+        /// The dataset.
+        path: PathBuf,
+        /// The split.
+        split: Split,
+    },
     /// Edits cannot be composed without masks or pairs.
     #[error(
         "{} has neither masks nor pairs in split {split}; run `stance masks {}` for semantic edits, \

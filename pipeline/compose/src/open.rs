@@ -15,9 +15,15 @@ pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABL
 /// The motions, masks and pairs of one split. The environment names the folder of their frames ([`FrameCache`]).
 ///
 /// # Errors
-/// The split has neither masks nor pairs, or a table cannot be read.
+/// The split has no clips, or neither masks nor pairs, or a table cannot be read.
 pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
     let rows = |table| dataset.manifest().rows(table, Some(split));
+    if rows(MotionRow::TABLE) == 0 {
+        return Err(Error::NoClips {
+            path: dataset.root().to_owned(),
+            split,
+        });
+    }
     if rows(MaskRow::TABLE) == 0 && rows(PairRow::TABLE) == 0 {
         return Err(Error::NoAnnotations {
             path: dataset.root().to_owned(),
