@@ -141,14 +141,24 @@ impl MotionClassifier for Classifier<'_> {
     }
 }
 
-/// Measures how well an encoder's texts and motions retrieve each other in a split. Returns the number of clips, and
-/// one result per repeat.
+/// How well an encoder's texts and motions retrieve each other in a split.
+pub(crate) struct EncoderRetrieval {
+    pub(crate) clips: usize,
+    /// Number of different first captions; clips with equal ones stand for each other.
+    pub(crate) texts: usize,
+    pub(crate) encoder_hash: String,
+    /// Recalls of a random order at 1, 2 and 3.
+    pub(crate) chance: [f64; 3],
+    pub(crate) repeats: Vec<CrossRetrieval>,
+}
+
+/// Measures how well an encoder's texts and motions retrieve each other in a split.
 pub(crate) fn encoder_retrieval(
     root: &Path,
     run: &Path,
     split: Split,
     protocol: &Protocol,
-) -> anyhow::Result<(usize, Vec<CrossRetrieval>)> {
+) -> anyhow::Result<EncoderRetrieval> {
     protocol.check()?;
     let dataset = Dataset::open(root)?;
     check_encoder(run, &dataset.skeleton()?)?;
@@ -170,8 +180,16 @@ pub(crate) fn encoder_retrieval(
     }
     let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
     let repeats = eval::judge::encoder_retrieval(&texts, &of_texts, &of_motions, protocol)?;
-    let repeats = repeats.into_iter().map(|(_, ranks)| ranks.retrieval());
-    Ok((clips.len(), repeats.collect()))
+    Ok(EncoderRetrieval {
+        clips: clips.len(),
+        texts: texts.iter().collect::<BTreeSet<_>>().len(),
+        encoder_hash: encoder.hash().to_owned(),
+        chance: eval::judge::chance(&texts, &repeats),
+        repeats: repeats
+            .into_iter()
+            .map(|(_, ranks)| ranks.retrieval())
+            .collect(),
+    })
 }
 
 /// One latent vector per text or motion.

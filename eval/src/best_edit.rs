@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::answered::{Answered, ITEMS_AT_ONCE};
-use crate::metric::position_error::mean_position_error;
+use crate::metric::position_error::{held, mean_position_error};
 use crate::rows::{EditFacts, ItemFacts};
 
 /// An edit and how it was chosen.
@@ -157,7 +157,10 @@ fn errors(item: &ItemRow, edit: &Motion, skeleton: &Skeleton) -> Result<Option<[
     }
     let target = followed(&skeleton.motion_keypoints(&target).points);
     Ok(Some([&source, edit].map(|motion| {
-        let points = followed(&skeleton.motion_keypoints(motion).points);
+        let points = held(
+            followed(&skeleton.motion_keypoints(motion).points),
+            source.len(),
+        );
         mean_position_error(&points, &target, NUM_KEYPOINTS)
     })))
 }

@@ -15,11 +15,10 @@ use crate::linalg::Matrix;
 use crate::metric::fid::{self, FID, MIN_ROWS};
 use crate::metric::interval::{MIN_TARGETS, mean};
 use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
-use crate::names::REAL_DATA;
 use crate::protocol::{FidSample, Protocol, Spread};
 use crate::score::{
     Galleries, Measured, OfItems, Ranks, Resamples, System, Take, TestSet, drawn, measured,
-    of_items,
+    of_items, unranked,
 };
 use crate::table::Items;
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
@@ -45,7 +44,9 @@ pub struct Difference {
     pub b: f64,
     /// Value of the second system minus that of the first.
     pub difference: f64,
-    /// Ends of the 95 % interval of the difference; `None` with fewer than [`MIN_TARGETS`] targets.
+    /// Number of items for which both systems have a value, and the difference is measured.
+    pub items: usize,
+    /// Ends of the 95 % interval of the difference; `None` if these items have fewer than [`MIN_TARGETS`] targets.
     pub interval: Option<[f64; 2]>,
     /// The better system, `A` or `B`. `None` if there is no interval or it contains 0, if the encoder cannot rank
     /// systems, and for metrics whose good values are those near real data.
@@ -126,12 +127,34 @@ pub fn compare(
                     .select(&indices)
             });
             let resamples = Resamples::new(test_set.targets(&indices), protocol);
-            let differences = differences(task, &sources, &targets, &sides, &resamples, protocol)?;
+            let galleries = Galleries::draw(indices.len(), protocol);
+            let values = |system: &System<'_>| {
+                let ranks = Ranks::of_system(&sources, &targets, system, &galleries, protocol)?;
+                of_items(system, &ranks, &galleries, protocol)
+            };
+            let given = [0, 1].map(|place| systems[place].select(&indices));
+            let [real, identity] = [values(&given[0])?, values(&given[1])?];
+            let [a, b] = [values(&sides[0])?, values(&sides[1])?];
+            let pairing = Pairing {
+                task,
+                real: &real,
+                sides: [&a, &b],
+                resamples: &resamples,
+            };
+            let encoder = evaluators.encoder;
+            let reason = unranked(encoder, [&real, &identity], &resamples);
+            let differences = differences(&pairing, &targets, &sides)?;
             progress.advance(1);
             let (counts, protocol) = (test_set.counts(&indices), whole_sets(protocol));
-            let encoder = evaluators.encoder;
-            let mut comparison =
-                Comparison::new(task, &counts, names, &protocol, encoder, differences);
+            let mut comparison = Comparison::new(
+                task,
+                &counts,
+                names,
+                &protocol,
+                encoder,
+                reason,
+                differences,
+            );
             let raw = &targets.latents.raw;
             if let Some(note) = shortage_of_fid(FID_NAME, raw.num_rows(), raw.num_cols()) {
                 comparison.notes.insert(0, note);
@@ -152,37 +175,23 @@ fn whole_sets(protocol: &Protocol) -> Protocol {
     }
 }
 
+/// The difference in FID of whole sets, where there are enough items, and in the metrics of items.
 fn differences(
-    task: &str,
-    sources: &Take,
+    pairing: &Pairing<'_>,
     targets: &Take,
     sides: &[System<'_>; 2],
-    resamples: &Resamples,
-    protocol: &Protocol,
 ) -> Result<Vec<Difference>, Error> {
-    let galleries = Galleries::draw(targets.latents.raw.num_rows(), protocol);
-    let values = |side: &System<'_>| {
-        let ranks = Ranks::of_system(sources, targets, side, &galleries, protocol)?;
-        of_items(side, &ranks, &galleries, protocol)
-    };
-    let (a, b) = (values(&sides[0])?, values(&sides[1])?);
-    let real = values(&System {
-        name: REAL_DATA,
-        takes: vec![targets.clone()],
-    })?;
     let mut found = Vec::new();
     let raw = &targets.latents.raw;
     if raw.num_rows() >= fid::min_items(raw.num_cols()) {
-        let takes = sides.each_ref().map(|side| &side.takes[0].latents.unit);
         let real = &targets.latents.unit;
-        found.extend(fid_difference(task, real, takes, resamples)?);
+        found.extend(fid_difference(
+            pairing.task,
+            real,
+            sides,
+            pairing.resamples,
+        )?);
     }
-    let pairing = Pairing {
-        task,
-        real: &real,
-        sides: [&a, &b],
-        resamples,
-    };
     found.extend(pairing.differences(metric::ALL));
     Ok(found)
 }
@@ -246,8 +255,10 @@ impl Pairing<'_> {
         if resampled.is_empty() || values.iter().any(|value| !value.is_finite()) {
             return None;
         }
-        let interval = interval(&mut resampled, self.resamples);
+        let targets = self.resamples.num_targets(&differences);
+        let interval = interval(&mut resampled, targets);
         Some(Difference {
+            items: differences.iter().filter(|value| value.is_finite()).count(),
             claim,
             ..Difference::new(name, metric, better, values, interval)
         })
@@ -257,17 +268,19 @@ impl Pairing<'_> {
 /// Name of the Fréchet distance in comparisons, which differs from the FID of the tables.
 const FID_NAME: &str = "FID of whole sets";
 
-/// The difference in FID; `None` if no resample has at least [`MIN_ROWS`] rows.
+/// The difference in FID, each a mean over the takes of a system; `None` if no resample has at least [`MIN_ROWS`] rows.
 fn fid_difference(
     task: &str,
     real: &Matrix,
-    sides: [&Matrix; 2],
+    sides: &[System<'_>; 2],
     resamples: &Resamples,
 ) -> Result<Option<Difference>, Error> {
     let both = |indices: &[usize]| -> Result<[f64; 2], Error> {
-        let sides = sides.into_iter().map(|side| side.select_rows(indices));
-        let found = fid::distances(&real.select_rows(indices), sides)?;
-        Ok([found[0], found[1]])
+        let takes = sides.iter().flat_map(|side| &side.takes);
+        let takes = takes.map(|take| take.latents.unit.select_rows(indices));
+        let found = fid::distances(&real.select_rows(indices), takes)?;
+        let (a, b) = found.split_at(sides[0].takes.len());
+        Ok([a, b].map(|takes| takes.iter().sum::<f64>() / takes.len() as f64))
     };
     let all: Vec<usize> = (0..real.num_rows()).collect();
     let values = both(&all)?;
@@ -281,14 +294,20 @@ fn fid_difference(
         .map(|drawn| both(drawn).map(|[a, b]| b - a))
         .collect::<Result<Vec<f64>, Error>>()?;
     Ok((!resampled.is_empty()).then(|| {
-        let interval = interval(&mut resampled, resamples);
-        Difference::new(FID_NAME, &FID, (FID.better)(task), values, interval)
+        let interval = interval(
+            &mut resampled,
+            resamples.num_targets(&vec![0.0; real.num_rows()]),
+        );
+        Difference {
+            items: real.num_rows(),
+            ..Difference::new(FID_NAME, &FID, (FID.better)(task), values, interval)
+        }
     }))
 }
 
 /// Ends of an interval from resampled differences; `None` if there are too few targets.
-fn interval(resampled: &mut [f64], resamples: &Resamples) -> Option<[f64; 2]> {
-    (resamples.num_targets() >= MIN_TARGETS as usize).then(|| {
+fn interval(resampled: &mut [f64], targets: usize) -> Option<[f64; 2]> {
+    (targets >= MIN_TARGETS as usize).then(|| {
         [TAIL, 1.0 - TAIL]
             .map(|share| quantile(resampled, share).expect("resamples of a known difference"))
     })
@@ -318,6 +337,7 @@ impl Difference {
             difference: b - a,
             interval,
             better,
+            items: 0,
             decimals: metric.decimals,
             claim: None,
         }
@@ -337,16 +357,16 @@ impl Difference {
 }
 
 impl Comparison {
-    /// A comparison by an encoder; if it is too weak to judge, no system is called better.
+    /// A comparison by an encoder; if it cannot rank systems ([`unranked`]), no system is called better.
     pub(crate) fn new(
         task: &str,
         counts: &Items,
         systems: [&str; 2],
         protocol: &Protocol,
         encoder: &dyn MotionEncoder,
+        unranked: Option<String>,
         mut differences: Vec<Difference>,
     ) -> Self {
-        let unranked = encoder.weakness();
         if unranked.is_some() {
             for difference in &mut differences {
                 difference.better = None;
@@ -421,7 +441,7 @@ impl Comparison {
                     row.metric.clone(),
                     comparison.protocol.clone(),
                     comparison.encoder_hash.clone(),
-                    comparison.n.to_string(),
+                    row.items.to_string(),
                     comparison.targets.to_string(),
                     comparison.items_digest.clone(),
                     row.a.to_string(),
@@ -441,9 +461,7 @@ impl Comparison {
         let [a, b] = &self.systems;
         let mut title = String::new();
         if let Some(reason) = &self.unranked {
-            title += &format!(
-                "No system is called better: the encoder is too weak to judge: {reason}.\n"
-            );
+            title += &format!("No system is called better: {reason}.\n");
         }
         let (task, n, targets, ids) = (&self.task, self.n, self.targets, &self.items_digest);
         let (protocol, encoder) = (&self.protocol, &self.encoder_hash);
@@ -466,8 +484,12 @@ impl Comparison {
                         row.interval
                             .map_or_else(|| ABSENT.to_owned(), |ends| number(ends[at]))
                     };
+                    let metric = match row.items == self.n {
+                        true => row.metric.clone(),
+                        false => format!("{}, {} items", row.metric, row.items),
+                    };
                     vec![
-                        row.metric.clone(),
+                        metric,
                         number(row.a),
                         number(row.b),
                         format!("{:+.digits$}", row.difference),

@@ -120,7 +120,6 @@ impl JudgeReport {
         };
         let repeats = encoder_retrieval(texts, text_latents, motion_latents, &protocol)?;
         let mut queries = [(); 2].map(|()| Queries::of(texts.len()));
-        let mut chance = Queries::of(texts.len());
         for (galleries, ranks) in &repeats {
             let sides = [&ranks.text_to_motion, &ranks.motion_to_text];
             for (queries, ranks) in queries.iter_mut().zip(sides) {
@@ -130,19 +129,10 @@ impl JudgeReport {
                     }
                 }
             }
-            for indices in galleries {
-                for &query in indices {
-                    let is_hit = |other: &&usize| texts[**other] == texts[query];
-                    let (size, hits) = (indices.len(), indices.iter().filter(is_hit).count());
-                    chance.add(query, RECALL_CUTS.map(|k| of_random_order(size, hits, k)));
-                }
-            }
         }
         let resamples = Resamples::new(texts.iter().copied(), &protocol);
         let [text_to_motion, motion_to_text] = queries.map(|queries| queries.recalls(&resamples));
-        let [r1, r3] = chance
-            .percent()
-            .map(|values| mean_of_known(&values).unwrap_or(f64::NAN));
+        let [r1, _, r3] = chance(texts, &repeats);
         Ok(Self {
             format: FORMAT,
             encoder_hash: about.encoder_hash.to_owned(),
@@ -287,6 +277,24 @@ impl Queries {
         });
         Recalls { r1, r3 }
     }
+}
+
+/// Recalls at [`RECALL_AT`] of a random order of the same galleries, in percent: the mean over the texts. Motions with
+/// equal texts stand for each other, so it rises with every text that clips share.
+pub fn chance(texts: &[&str], repeats: &[RankedGalleries]) -> [f64; RECALL_AT.len()] {
+    RECALL_AT.map(|k| {
+        let mut of_query = vec![(0.0, 0.0); texts.len()];
+        for indices in repeats.iter().flat_map(|(galleries, _)| galleries) {
+            for &query in indices {
+                let is_hit = |other: &&usize| texts[**other] == texts[query];
+                let hits = indices.iter().filter(is_hit).count();
+                of_query[query].0 += of_random_order(indices.len(), hits, k);
+                of_query[query].1 += 1.0;
+            }
+        }
+        let percent = of_query.iter().map(|(sum, count)| 100.0 * sum / count);
+        mean_of_known(&percent.collect::<Vec<f64>>()).unwrap_or(f64::NAN)
+    })
 }
 
 /// Probability that a random order of a gallery has at least one of the hits among the first `k`.

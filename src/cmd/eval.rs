@@ -7,7 +7,7 @@ use clap::ValueEnum as _;
 use datasets_spec::{Seed, Split};
 use eval::answers::{Answered, Scores};
 use eval::compare::{Comparison, compare};
-use eval::format;
+use eval::format::{self, ABSENT};
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::metric::interval::Interval;
 use eval::metric::retrieval::Retrieval;
@@ -382,7 +382,21 @@ fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let is_of_table = |found: &Table| table.tasks().contains(&found.task.as_str());
     let is_pooled = |found: &Table| [ALL_TASKS, RECAPTURED].contains(&found.task.as_str());
     if tables.iter().any(is_of_table) {
-        tables.retain(|found| is_pooled(found) || is_of_table(found));
+        let (kept, left): (Vec<Table>, Vec<Table>) = std::mem::take(&mut tables)
+            .into_iter()
+            .partition(|found| is_pooled(found) || is_of_table(found));
+        tables = kept;
+        if !left.is_empty() {
+            let left: Vec<String> = left
+                .iter()
+                .map(|found| format!("{} ({} items)", found.task, found.items.count))
+                .collect();
+            report::note(&format!(
+                "{} has no table for {}; {ALL_TASKS:?} is over all items",
+                table.title(),
+                left.join(", ")
+            ));
+        }
     } else {
         report::note(&format!(
             "{} is about {} edits, and there are none; these are the tasks there are",
@@ -509,10 +523,14 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     Ok(exit)
 }
 
+/// Name of the row with the recalls of a random order.
+const CHANCE: &str = "random order";
+
 fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
     let protocol = args.measure.protocol(None, global);
     let runs = args.measure.runs()?;
-    let (n, repeats) = encoder_retrieval(&args.dataset, runs.encoder, args.split, &protocol)?;
+    let measured = encoder_retrieval(&args.dataset, runs.encoder, args.split, &protocol)?;
+    let (n, repeats) = (measured.clips, &measured.repeats);
     type Side = fn(&CrossRetrieval) -> &Retrieval;
     type Column = fn(&Retrieval) -> f64;
     let sides: [(&str, Side); 2] = [
@@ -533,10 +551,15 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
             found.push((queries, metric, Interval::of(&values)));
         }
     }
+    let by_chance = std::iter::zip(columns, measured.chance);
+    found.extend(
+        by_chance.map(|((metric, _), mean)| (CHANCE, metric, Interval { mean, ci95: None })),
+    );
     if args.measure.format(global) == FormatArg::Json {
         let row = |(queries, metric, Interval { mean, ci95 }): (&str, &str, Interval)| {
             json!({
                 "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95,
+                "texts": measured.texts, "encoder_hash": measured.encoder_hash,
             })
         };
         report::json(&found.into_iter().map(row).collect::<Vec<_>>())?;
@@ -549,14 +572,18 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
     };
     let row = |row: &[(&str, &str, Interval)]| {
         let cells = row.iter().map(cell);
+        let absent = std::iter::repeat_n(ABSENT.to_owned(), columns.len() - row.len());
+        let cells = cells.chain(absent);
         std::iter::once(row[0].0.to_owned()).chain(cells).collect()
     };
     let grid = format::grid::Grid {
         title: format!(
-            "{n} clips of {}, {} repeats; {}",
+            "{n} clips of {} with {} different captions, ± over {} repeats; {}; encoder {:.12}",
             args.split,
+            measured.texts,
             protocol.repeats,
-            protocol.gallery_name(n)
+            protocol.gallery_name(n),
+            measured.encoder_hash
         ),
         head: head.map(str::to_owned).collect(),
         rows: found.chunks(columns.len()).map(row).collect(),

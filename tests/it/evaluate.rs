@@ -197,9 +197,21 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     }
 
     let fit: Value = bench.json("eval encoder @dataset --encoder @encoder");
-    assert_eq!(len_of(&fit), 10);
-    let recalls = [0, 1, 2].map(|row: usize| number_of(&fit[row]["mean"]));
+    // Beside the five values of either direction stand the recalls of a random order.
+    assert_eq!(len_of(&fit), 13);
+    let [recalls, by_chance] =
+        [0, 10].map(|first: usize| [0, 1, 2].map(|row| number_of(&fit[first + row]["mean"])));
     assert!(recalls.is_sorted() && recalls[2] <= 100.0, "{recalls:?}");
+    assert_eq!(fit[10]["queries"], "random order");
+    let clips = number_of(&fit[10]["n"]);
+    // Equal captions stand for each other, so chance is at least one of the gallery. The bound is that of a sum.
+    let one_of_gallery = 100.0 / clips.min(32.0) - 1e-9;
+    assert!(
+        by_chance[0] >= one_of_gallery && by_chance.is_sorted(),
+        "{by_chance:?}"
+    );
+    assert!(number_of(&fit[10]["texts"]) <= clips);
+    assert_eq!(fit[10]["encoder_hash"], both[0]["encoder_hash"]);
 
     // A caption of a part of a clip is measured with that part alone, and one of no frame is left out and counted.
     let (dataset, timed) = (bench.path("dataset"), bench.path("timed"));

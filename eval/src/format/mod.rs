@@ -10,7 +10,7 @@ pub mod text;
 use crate::table::Row;
 
 /// Placeholder of a value that was not measured.
-pub(crate) const ABSENT: &str = "–";
+pub const ABSENT: &str = "–";
 /// Suffix of the name of a published row, in formats that have no heading for published rows.
 const PUBLISHED: &str = "(published)";
 /// Heading of the published rows.

@@ -88,6 +88,15 @@ pub(crate) fn from_start(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
     points.iter().map(|frame| frame.map(&to_start)).collect()
 }
 
+/// Holds the last frame of a motion that is shorter than `len` frames, so that a part of a motion is no answer to the
+/// whole.
+pub(crate) fn held(mut points: Vec<KeypointFrame>, len: usize) -> Vec<KeypointFrame> {
+    if let Some(&last) = points.last() {
+        points.resize(len.max(points.len()), last);
+    }
+    points
+}
+
 /// Distances between the keypoints of two motions in metres, in the frames that both have.
 pub(crate) fn distances(
     found: &[KeypointFrame],

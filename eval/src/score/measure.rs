@@ -15,7 +15,7 @@ use crate::linalg::Matrix;
 use crate::metric::foot_score::MIN_FRAMES;
 use crate::metric::gliding::{swing, way};
 use crate::metric::motion_quality::{self, Windows};
-use crate::metric::position_error::{distances, from_start};
+use crate::metric::position_error::{distances, from_start, held};
 use crate::metric::retrieval::unit_rows;
 use crate::metric::{self, Latents, Measure, Metric, MotionMeasure, MotionSample, Target};
 use crate::names::{IDENTITY, REAL_DATA};
@@ -287,8 +287,8 @@ struct Gathered {
 struct OfMotions<'a> {
     skeleton: &'a Skeleton,
     protocol: &'a Protocol,
-    /// Windows used to find the seams of motions that record no windows: those of the first system that records its
-    /// windows.
+    /// Windows used to find the seams of motions that record no windows: those that all systems share that record theirs.
+    /// If they differ, such motions have no seams.
     windows: Option<Windows>,
     metrics: Vec<(&'static Metric, MotionMeasure)>,
 }
@@ -304,7 +304,9 @@ impl OfMotions<'_> {
         } = subject;
         let fps = motion.fps();
         let keypoints = self.skeleton.motion_keypoints(motion).points;
-        let distances = distances(&from_start(&keypoints), &asked.of_target.from_start);
+        // Editors give their sources' lengths back; what an edit lacks of that is scored as its last pose.
+        let found = held(from_start(&keypoints), asked.source.len());
+        let distances = distances(&found, &asked.of_target.from_start);
         let windows = edit.and_then(windows_of).or(self.windows);
         let seams = windows.map_or_else(Vec::new, |windows| {
             motion_quality::seams(motion.len(), fps, windows)

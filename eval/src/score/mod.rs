@@ -19,7 +19,7 @@ use crate::evaluators::{Evaluators, MotionEncoder};
 use crate::judge::TOLD_APART;
 use crate::metric::interval::{Interval, MIN_TARGETS, mean_of_known};
 use crate::metric::retrieval::E2T_RECALL_1;
-use crate::metric::{self, CLAIMS, Measure, RankSummary};
+use crate::metric::{self, CLAIMS, Measure, Metric, RankSummary};
 use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 use crate::table::Items;
@@ -162,7 +162,7 @@ impl<'a> OfTask<'a> {
                 let over_repeats = Interval::of(&found);
                 let interval = match &resampled {
                     None => over_repeats,
-                    Some(_) if self.counts.targets < MIN_TARGETS => Interval {
+                    Some(_) if self.targets_of(position, metric) < MIN_TARGETS => Interval {
                         ci95: None,
                         ..over_repeats
                     },
@@ -183,6 +183,15 @@ impl<'a> OfTask<'a> {
             }
         }
         Ok(scores)
+    }
+
+    /// Number of targets of the items for which a system has a value of a metric; all targets for metrics of sets.
+    fn targets_of(&self, position: usize, metric: &'static Metric) -> u32 {
+        self.of_items[position]
+            .get(metric)
+            .map_or(self.counts.targets, |values| {
+                self.resamples.num_targets(values) as u32
+            })
     }
 
     /// Values of the metrics on the bootstrap resamples, for each system.
@@ -267,6 +276,7 @@ impl<'a> OfTask<'a> {
         let against_identity = ranked.iter().map(|&place| [1, place]);
         let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
         let pairs = against_identity.chain(neighbours);
+        let reason = unranked(encoder, [&values[0], &values[1]], &self.resamples);
         let of_pair = |pair: [usize; 2]| {
             let pairing = Pairing {
                 task,
@@ -276,10 +286,42 @@ impl<'a> OfTask<'a> {
             };
             let systems = pair.map(|place| self.systems[place].name);
             let (counts, claims) = (&self.counts, pairing.differences(&CLAIMS));
-            Comparison::new(task, counts, systems, protocol, encoder, claims)
+            Comparison::new(
+                task,
+                counts,
+                systems,
+                protocol,
+                encoder,
+                reason.clone(),
+                claims,
+            )
         };
         pairs.map(of_pair).collect()
     }
+}
+
+/// Why an encoder ranks no systems on some items; `None` if it can. `of_items` are the values of the real data and of
+/// the identity editor. It continues a sentence.
+pub(crate) fn unranked(
+    encoder: &dyn MotionEncoder,
+    of_items: [&OfItems; 2],
+    resamples: &Resamples,
+) -> Option<String> {
+    if let Some(weakness) = encoder.weakness() {
+        return Some(format!("the encoder is too weak to judge: {weakness}"));
+    }
+    let told = told_apart(of_items, resamples);
+    let half = told.ci95.unwrap_or(0.0);
+    // With fewer targets no difference has an interval, so nothing is called better anyway.
+    let recalls = of_items[0].get(&E2T_RECALL_1);
+    let is_known =
+        recalls.is_some_and(|values| resamples.num_targets(values) >= MIN_TARGETS as usize);
+    (is_known && told.mean - half <= 0.0).then(|| {
+        format!(
+            "the targets cannot be told from their sources: in {} the real data is {:.1}±{half:.1} % above the identity editor",
+            E2T_RECALL_1.name, told.mean
+        )
+    })
 }
 
 /// The difference between the real data and the identity editor in E2T R@1, on the same items.

@@ -38,9 +38,10 @@ impl Resamples {
         Self { groups, counts }
     }
 
-    /// Number of distinct targets.
-    pub(crate) fn num_targets(&self) -> usize {
-        self.groups.len()
+    /// Number of distinct targets of the items that have a value.
+    pub(crate) fn num_targets(&self, values: &[f64]) -> usize {
+        let has_value = |group: &&Vec<usize>| group.iter().any(|&item| values[item].is_finite());
+        self.groups.iter().filter(has_value).count()
     }
 
     /// How often each item is drawn, for each of the first `count` resamples.

@@ -84,11 +84,13 @@ impl<'a> TestSet<'a> {
         &self.answered.items.facts()[self.items[index]]
     }
 
-    /// Windows of the first system that records its windows.
+    /// Windows of the systems that record their windows; `None` if they differ.
     pub(super) fn windows(&self) -> Option<Windows> {
         let edits = self.answered.edits.facts();
         let first = |takes: &Vec<Vec<usize>>| windows_of(&edits[*takes.first()?.first()?]);
-        self.systems.values().find_map(first)
+        let mut all = self.systems.values().filter_map(first);
+        let windows = all.next()?;
+        all.all(|other| other == windows).then_some(windows)
     }
 
     /// Ids of the motions that the items' targets were made of.

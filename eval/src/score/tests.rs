@@ -7,6 +7,7 @@ use rand::RngExt;
 
 use super::*;
 use crate::answered::ITEMS_AT_ONCE;
+use crate::compare::{Comparison, compare};
 use crate::error::EncoderError;
 use crate::evaluators::MotionEncoder;
 use crate::judge::TOLD_APART;
@@ -265,6 +266,57 @@ fn a_pop_at_a_seam_shows_there_and_real_data_are_looked_at_in_the_same_frames() 
     assert!(of("pops", &JERK) > 1.0 && of("pops", &FOOT_SLIDE) > 0.01);
 }
 
+/// Items of which the first `num_long` have seams, the systems that answer them with the given windows, and their
+/// scores.
+fn with_seams(num_items: usize, num_long: usize, windows: &[usize]) -> Vec<ScoreRow> {
+    let mut items: Vec<ItemRow> = (0..num_items).map(|index| item(index, "style")).collect();
+    for (index, row) in items.iter_mut().enumerate().take(num_long) {
+        let mut poses = vec![motion(index, "source").pose(0); 59];
+        // A turn that lasts, so that every seam has an acceleration.
+        for (frame, pose) in poses.iter_mut().enumerate() {
+            pose.rotations[1] = DQuat::from_rotation_x((frame * frame * (index + 1)) as f64 * 1e-4);
+        }
+        let long = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        row.set_motions(&long, Some(&long), None);
+        row.id = row.content_id();
+    }
+    let answers = |&window: &usize| {
+        let mut edits = perfect(&format!("of {window}"), &items);
+        for edit in &mut edits {
+            edit.settings = format!(r#"{{"window": {window}}}"#);
+        }
+        edits
+    };
+    let edits: Vec<EditRow> = windows.iter().flat_map(answers).collect();
+    scored(&items, &edits, &Protocol::default()).expect("valid")
+}
+
+#[test]
+fn a_metric_that_few_items_have_gets_no_interval() {
+    let half_width = |num_long, metric| {
+        let scores = with_seams(20, num_long, &[16]);
+        found(&scores, "style", "of 16", metric).ci95
+    };
+    assert!(half_width(10, &SEAM_ACCELERATION).is_some());
+    assert_eq!(half_width(9, &SEAM_ACCELERATION), None);
+    assert!(half_width(9, &JERK).is_some());
+}
+
+#[test]
+fn real_data_have_no_seams_where_the_windows_of_systems_differ() {
+    let has_seams = |windows: &[usize], system: &str| {
+        with_seams(10, 10, windows)
+            .iter()
+            .any(|row| row.system == system && row.metric == SEAM_ACCELERATION.name)
+    };
+    for (windows, of_real) in [(&[16][..], true), (&[16, 8], false)] {
+        for system in [REAL_DATA, IDENTITY] {
+            assert_eq!(has_seams(windows, system), of_real, "{windows:?} {system}");
+        }
+        assert!(has_seams(windows, "of 16"));
+    }
+}
+
 #[test]
 fn order_of_rows_and_threads_do_not_change_a_bit() {
     let mut items = questions(40);
@@ -462,6 +514,55 @@ fn every_system_is_compared_with_the_identity_editor_and_with_the_next_one() {
     }
     assert!(claims[0].contains("foot slide +0.000 "), "{}", claims[0]);
     assert!(comparisons.iter().all(|found| found.encoder_hash == "00ff"));
+}
+
+#[test]
+fn a_comparison_takes_the_mean_over_takes_and_ranks_nothing_that_the_encoder_cannot_tell() {
+    let items = questions(40);
+    let edits = [
+        perfect("A", &items),
+        perfect("B", &items),
+        take(perfect("B and C", &items), 0),
+        take(lazy("B and C", &items), 1),
+        lazy("C", &items),
+    ]
+    .concat();
+    let compared = |items: &[ItemRow], edits: &[EditRow], names| -> Comparison {
+        let (answered, encoder) = (answered(items, edits), Encoder(first_frame));
+        let (evaluators, protocol) = (by(&encoder, &answered), Protocol::default());
+        let found = compare(&answered, names, evaluators, &protocol, &NoProgress);
+        found.expect("valid").remove(0)
+    };
+    let of_fid = |other| {
+        let found = compared(&items, &edits, ["A", other]);
+        let mut rows = found.differences.into_iter();
+        rows.find(|row| row.metric.starts_with("FID"))
+            .expect("measured")
+    };
+    let [b, both, c] = ["B", "B and C", "C"].map(|other| of_fid(other).b);
+    assert!(
+        (both - (b + c) / 2.0).abs() < 1e-9 && c > b,
+        "{b} {both} {c}"
+    );
+
+    let is_better = |found: &Comparison| found.differences.iter().any(|row| row.better.is_some());
+    let told = compared(&items, &edits, ["A", "C"]);
+    assert!(told.unranked.is_none() && is_better(&told));
+    // The sources are the targets but for what the encoder does not look at.
+    let mut alike = items.clone();
+    for row in &mut alike {
+        let target = row.target().expect("valid");
+        let mut poses: Vec<Pose> = (0..target.len()).map(|frame| target.pose(frame)).collect();
+        poses.iter_mut().for_each(|pose| pose.transl.x += 1.0);
+        let source = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        row.set_motions(&source, Some(&target), None);
+        row.id = row.content_id();
+    }
+    let edits = [perfect("A", &alike), lazy("C", &alike)].concat();
+    let alike = compared(&alike, &edits, ["A", "C"]);
+    assert!(!is_better(&alike), "{alike:?}");
+    let reason = alike.unranked.expect("a reason");
+    assert!(reason.starts_with("the targets cannot be told from their sources"));
 }
 
 #[test]
