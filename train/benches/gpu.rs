@@ -38,10 +38,11 @@ fn main() {
         Ok(devices) => devices[0].clone(),
         Err(error) => panic!("{error}"),
     };
-    let bf16 = match after("--precision").as_deref() {
-        None | Some("f32") => false,
-        Some("bf16") => true,
-        Some(other) => panic!("--precision {other}: f32 and bf16 are known"),
+    let precision = after("--precision").unwrap_or_else(|| "f32".to_owned());
+    let bf16 = match precision.as_str() {
+        "f32" => false,
+        "bf16" => true,
+        other => panic!("--precision {other}: f32 and bf16 are known"),
     };
     assert!(
         !bf16 || has_bf16(&device),
@@ -64,6 +65,7 @@ fn main() {
         let secs = secs / steps as f64;
         let mut line = json!({
             "what": "training step", "batch": batch, "secs": secs, "samples_per_sec": batch as f64 / secs,
+            "device": name.to_string(), "precision": precision,
         });
         if let Some(peak) = peak {
             line["share_of_peak"] = (batch as f64 * flops() / secs / (peak * 1e12)).into();
@@ -74,7 +76,10 @@ fn main() {
         let secs = sample(batch, &device, arithmetic);
         println!(
             "{}",
-            json!({ "what": "100 guided steps", "batch": batch, "secs": secs })
+            json!({
+                "what": "100 guided steps", "batch": batch, "secs": secs,
+                "device": name.to_string(), "precision": precision,
+            })
         );
     }
 }
