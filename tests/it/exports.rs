@@ -5,8 +5,8 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use datasets_spec::Split;
 use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::{MotionId, Split};
 use pickle::npz::Archive;
 use pipeline::export::Layout;
 use serde_json::Value;
@@ -66,6 +66,61 @@ fn a_condition_chooses_the_clips_of_every_layout_and_a_mistaken_one_is_refused()
     assert_eq!(files.len(), expected);
     let archives = files_with_extension(&dir.path().join("amass"), "npz");
     assert_eq!(archives.len(), expected);
+}
+
+/// Ids that no path gives: of a person in a file, a crop, another rate, the ending of AMASS, and a mirrored copy.
+#[test]
+fn clips_keep_their_ids_and_originals_through_exports_of_files() {
+    let (dir, dataset, rows) = dataset(6);
+    let names = [
+        "take#anna",
+        "take#anna~m",
+        "walk@10",
+        "walk_stageii",
+        "a:b",
+        "a_b",
+    ];
+    let mut named: Vec<MotionRow> = rows.into_values().collect();
+    for (row, name) in named.iter_mut().zip(names) {
+        row.id = MotionId::parse(name).expect("an id");
+    }
+    named[1].mirrored_of = Some(names[0].to_owned());
+    named[1].split = named[0].split;
+    commit(&dataset, &named, |row| row.split, "named");
+    let told = |rows: BTreeMap<String, MotionRow>| -> Vec<(String, Option<String>, Split)> {
+        let rows = rows.into_iter();
+        rows.map(|(id, row)| (id, row.mirrored_of, row.split))
+            .collect()
+    };
+    let expected = told(motions_of(&dataset));
+    assert_eq!(expected.len(), names.len());
+    for layout in ["bvh", "gltf", "amass"] {
+        let out = dir.path().join(layout);
+        exported(&dataset, layout, &out, &[]);
+        let name = format!("{layout}-again");
+        assert_eq!(told(again(&out, &name)), expected, "{layout}");
+        // The clips of the dataset are found again.
+        let grown = ingested(&out, &dir.path().join(&name), &[]);
+        assert_eq!(grown["growth"]["kept"], names.len(), "{grown}");
+        assert_eq!(grown["growth"]["new"], 0, "{grown}");
+    }
+
+    // An id that two files state is that of the first, and the other is said to be unused.
+    let bvh = dir.path().join("bvh");
+    for ending in ["bvh", "stance.json"] {
+        std::fs::copy(
+            bvh.join(format!("a_b.{ending}")),
+            bvh.join(format!("copy.{ending}")),
+        )
+        .expect("copied");
+    }
+    let twice = dir.path().join("twice");
+    let done = ingested(&bvh, &twice, &["--allow-quarantine", "0"]);
+    let problems = done["label_problems"].to_string();
+    assert!(problems.contains("another clip has it"), "{done}");
+    let ids: BTreeSet<String> = motions_of(&twice).into_keys().collect();
+    assert_eq!(ids.len(), names.len() + 1);
+    assert!(names.iter().all(|name| ids.contains(*name)), "{ids:?}");
 }
 
 #[test]

@@ -11,6 +11,12 @@ use serde::{Deserialize, Deserializer, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sidecar {
+    /// Id of the clip, in place of one that is made from its path. Only the file beside a lone motion states it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
+    /// Id of the clip that it mirrors. Only the file beside a lone motion states it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mirrored_of: Option<String>,
     /// Captions of the clip.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub captions: Vec<LabelCaption>,

@@ -124,6 +124,8 @@ const STEM_END: &str = "_stageii";
 fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
     let captions = row.captions_by_origin();
     let said = Sidecar {
+        id: Some(row.id.to_string()),
+        mirrored_of: row.mirrored_of.clone(),
         captions: captions
             .map(|(caption, origin)| LabelCaption {
                 caption: caption.clone(),

@@ -101,8 +101,9 @@ const LABELS: [&str; 6] = [
 fn held(layout: Layout) -> Vec<&'static str> {
     let (words, labels) = (&WORDS[..], &LABELS[..]);
     match layout {
-        Layout::Amass | Layout::Bvh | Layout::Gltf => [words, labels].concat(),
-        Layout::WebDataset => [words, labels, &[MIRROR_LINKS]].concat(),
+        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::WebDataset => {
+            [words, labels, &[MIRROR_LINKS]].concat()
+        }
         Layout::Stance => [words, labels, &[MIRROR_LINKS, MASKS, PAIRS]].concat(),
         Layout::HumanMl3d => [words, &[LICENSES, MIRROR_LINKS, FEATURES]].concat(),
         Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => {

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use clip::LabelProblem;
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::{Seed, Split};
 use formats::source::{Entry, Format, escaped};
@@ -44,6 +45,8 @@ impl Plan {
         let known = recorded.clips.iter();
         let mut taken: BTreeSet<String> = known.map(|clip| clip.id.to_string()).collect();
         self.name_releases(&mut items, &mut taken);
+        let problems = take_named_ids(&mut items, &mut taken);
+        self.notes.label_problems.extend(problems);
         name_single_files(&mut items, &taken);
         self.items = items;
     }
@@ -287,6 +290,16 @@ impl Plan {
                 groups.unite(first, key);
             }
         }
+        let ids = self.items.iter().map(|item| item.id.as_str());
+        let by_id: BTreeMap<&str, usize> = ids.zip(keys.iter().copied()).collect();
+        for (item, &key) in self.items.iter().zip(&keys) {
+            // Releases name the group of a mirrored clip.
+            let original = item.entry.mirrored_of.as_deref();
+            let original = original.filter(|_| item.release.is_none());
+            if let Some(&first) = original.and_then(|id| by_id.get(id)) {
+                groups.unite(first, key);
+            }
+        }
         // Sources of the split of each motion, the strongest first.
         let reasons: Vec<[Option<Split>; 4]> = self
             .items
@@ -442,7 +455,7 @@ impl Planned {
             Some(_) => id
                 .strip_suffix(&self.entry.id)
                 .is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/')),
-            None => key_of(id) == self.entry.key,
+            None => self.named.as_deref() == Some(id) || key_of(id) == self.entry.key,
         }
     }
 }
@@ -457,7 +470,33 @@ fn name_of(id: &str) -> &str {
     id.split_once('#').map_or(id, |(name, _)| name)
 }
 
-/// Gives the new motions of single files their ids: their path without its extension. Files that differ
+/// Gives new motions the ids that their sidecars state, and returns the sidecars whose ids cannot be used.
+fn take_named_ids(items: &mut [Planned], taken: &mut BTreeSet<String>) -> Vec<LabelProblem> {
+    let mut motions: BTreeMap<String, usize> = BTreeMap::new();
+    for item in items.iter() {
+        *motions.entry(item.entry.file.clone()).or_default() += 1;
+    }
+    let new = items.iter_mut().filter(|item| item.known.is_none());
+    let problems = new.filter_map(|item| {
+        let id = item.named.clone()?;
+        let why = match motions[&item.entry.file] {
+            1 if taken.insert(id.clone()) => {
+                item.id.clone_from(&id);
+                item.entry.id = id;
+                return None;
+            }
+            1 => "another clip has it".to_owned(),
+            count => format!("the file holds {count} motions"),
+        };
+        Some(LabelProblem {
+            file: item.entry.file.clone(),
+            reason: format!("id {id:?} of its sidecar was not used: {why}"),
+        })
+    });
+    problems.collect()
+}
+
+/// Gives the other new motions of single files their ids: their path without its extension. Files that differ
 /// only in their extension keep it.
 fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
     let mut files: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
@@ -479,12 +518,13 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
     for item in items
         .iter()
         .filter(|item| item.release.is_none() && item.known.is_some())
+        .filter(|item| key_of(&item.id) == item.entry.key)
     {
         own.insert(item.entry.file.clone(), name_of(&item.id).to_owned());
     }
     let new = items
         .iter_mut()
-        .filter(|item| item.release.is_none() && item.known.is_none());
+        .filter(|item| item.release.is_none() && item.id.is_empty());
     for item in new {
         let file = &item.entry.file;
         let stem = escaped(without_extension(file));

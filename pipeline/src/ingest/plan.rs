@@ -89,6 +89,8 @@ pub(super) struct Planned {
     pub(super) labelled_split: Option<Split>,
     pub(super) subject: Option<String>,
     pub(super) action: Option<String>,
+    /// Id that its sidecar states.
+    pub(super) named: Option<String>,
     pub(super) id: String,
     pub(super) inputs: String,
     /// Index of the same clip of the previous version in [`Recorded::clips`](super::recorded::Recorded).
@@ -110,6 +112,7 @@ impl Planned {
             own_split: None,
             subject: None,
             action: None,
+            named: None,
             id: String::new(),
             inputs: String::new(),
             known: None,
@@ -201,6 +204,7 @@ impl Plan {
             source.head = Vec::new();
         }
         plan.note_inputs();
+        plan.take_named_ids();
         plan.identify(recorded, same_settings);
         plan.keep_described(recorded);
         plan.take_labels(recorded);
@@ -429,6 +433,25 @@ impl Plan {
         let others = others.filter(|file| !self.claimed.contains(*file) && !motions.contains(file));
         let others = others.collect();
         (motions, others)
+    }
+
+    /// Takes the ids that sidecars state. [`Plan::take_labels`] takes the labels once every motion has an id, because label
+    /// files may name it.
+    fn take_named_ids(&mut self) {
+        let files = &self.files;
+        let single = self
+            .items
+            .par_iter_mut()
+            .filter(|item| item.release.is_none());
+        single.for_each(|item| {
+            let file = &item.entry.file;
+            // A sidecar that cannot be read now is noticed with the labels.
+            let failed = Cell::new(None);
+            let companions = companions(files, file, &failed);
+            let (id, mirrored_of) = labels::stated_ids(Path::new(file), &companions);
+            item.named = id;
+            item.entry.mirrored_of = mirrored_of;
+        });
     }
 
     /// Takes the labels that decide on splits, and gives single files with labels of action and style the group of

@@ -233,6 +233,7 @@ fn item_of(row: PlannedMotion, folder: &Path) -> Result<Planned, Error> {
         labelled_split: split(row.labelled_split)?,
         subject: row.subject,
         action: row.action,
+        named: None,
         id: row.id,
         inputs: row.inputs,
         known: row.known.map(|known| known as usize),

@@ -166,7 +166,8 @@ impl Plan {
         left_out.extend(staying);
         let entries = self.items.iter().map(|item| &item.entry);
         let entries = entries.chain(&left_out);
-        self.notes.label_problems = self.folder_labels.problems(&self.files, entries);
+        let of_folders = self.folder_labels.problems(&self.files, entries);
+        self.notes.label_problems.extend(of_folders);
     }
 
     /// The recorded clips that a file may describe that cannot be read now, by index in [`Recorded::clips`], each with

@@ -86,7 +86,6 @@ fn labels(columns: &[String], record: &StringRecord) -> Result<(String, Sidecar)
     });
     let labels = Sidecar {
         captions: caption.into_iter().collect(),
-        parts: Vec::new(),
         subject: owned("subject"),
         action: owned("action"),
         style: owned("style"),
@@ -94,6 +93,7 @@ fn labels(columns: &[String], record: &StringRecord) -> Result<(String, Sidecar)
             .transpose()
             .map_err(|error: datasets_spec::Error| error.to_string())?,
         license: owned("license"),
+        ..Sidecar::default()
     };
     Ok((name.to_owned(), labels))
 }

@@ -11,7 +11,7 @@ mod toml_file;
 
 use std::path::Path;
 
-use datasets_spec::BodyPart;
+use datasets_spec::{BodyPart, MotionId};
 
 use self::bandai_namco::BandaiNamcoLabel;
 use self::captions::captions_beside;
@@ -144,6 +144,13 @@ pub fn stated(
     stated
 }
 
+/// The id that the sidecar of a motion file states, and that of the clip which it mirrors.
+pub fn stated_ids(path: &Path, companions: &Companions<'_>) -> (Option<String>, Option<String>) {
+    // `attach` reports a sidecar that cannot be used.
+    let (sidecar, _) = sidecar(path, companions);
+    (sidecar.id, sidecar.mirrored_of)
+}
+
 /// The path of a file beside a motion. Paths of sources have `/` on every system.
 fn beside(path: &Path, name: &str) -> String {
     let path = path.to_string_lossy();
@@ -225,6 +232,11 @@ impl Sidecar {
                     false
                 }
             });
+        for (name, id) in [("id", &mut self.id), ("mirrored_of", &mut self.mirrored_of)] {
+            if let Some(text) = id.take_if(|text| MotionId::parse(text).is_err()) {
+                report(format!("{name} {text:?} is no id of a clip"));
+            }
+        }
         for label in self.names() {
             let trimmed = label.take().map(|text| text.trim().to_owned());
             *label = trimmed.filter(|text| !text.is_empty());

@@ -44,8 +44,16 @@ pub(super) fn parse(text: &str) -> Content {
         problems,
     } = &mut content;
     all.clean(|reason| problems.push(reason));
-    for (_, name, labels) in clips {
+    for (_, name, labels) in &mut *clips {
         labels.clean(|reason| problems.push(format!("clips.{name:?}: {reason}")));
+    }
+    let of_clips = clips.iter().map(|(_, _, labels)| labels);
+    for labels in of_clips.chain([&*all]) {
+        for (field, id) in [("id", &labels.id), ("mirrored_of", &labels.mirrored_of)] {
+            problems.extend(id.as_ref().map(|id| {
+                format!("{field} {id:?} was not used: only the file STEM.stance.json beside a motion states it")
+            }));
+        }
     }
     content
 }
