@@ -458,16 +458,31 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     write_plan(
         &bench,
         "[seeds]\ntrain = 4\nitems = 3\n[[system]]\nname = \"ours\"\n\
+         [[system]]\nname = \"broken\"\ntrain = { window = 400 }\n\
+         [[table]]\npaper = \"1\"\n[[table]]\npaper = \"2\"\nsystems = [\"broken\"]\n\
          [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 16, 400]\nmetrics = [\"FS\"]\n\
          [[figure]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [true, false]\nmetrics = [\"FS\"]\n\
          [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
+    // Files that an earlier run would have left.
+    bench.put("made/tables/table-2.txt", "older\n");
     let before = bench.root_hash();
     let ran = bench.typed("--json reproduce --weak-judge @plan.toml");
     let ran = ran.expect_code(1);
     ran.expect_said("train.window = 400");
     let made: Value = ran.json();
-    assert_eq!(len_of(&made["failed"]), 3, "{made}");
+    let failed = made["failed"].to_string();
+    assert_eq!(len_of(&made["failed"]), 5, "{made}");
+    let older = "table-2 (no system of it has edits; its files are of an earlier run)";
+    assert_has(&failed, &["broken", older]);
+    assert_has(
+        &bench.text("made/tables/table-1.txt"),
+        &["ours", "failed to make edits of broken"],
+    );
+    assert_has(
+        &bench.text("made/index.html"),
+        &["failed and missing", older],
+    );
     for (figure, point) in [(1, 0), (1, 1), (2, 0), (2, 1)] {
         assert!(len_of(&made["figures"][figure]["points"][point]["scores"]) > 0);
     }

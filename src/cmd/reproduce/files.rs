@@ -53,6 +53,16 @@ pub(super) fn table_name(paper: TableArg) -> String {
     format!("table-{}", paper.name())
 }
 
+/// Says that a table of the results in `out` has no rows now.
+pub(super) fn without_rows(paper: TableArg, out: &Path) -> String {
+    let name = table_name(paper);
+    let stale = match out.join("tables").join(format!("{name}.txt")).exists() {
+        true => "; its files are of an earlier run",
+        false => "",
+    };
+    format!("{name} (no system of it has edits{stale})")
+}
+
 /// Name of the files of a chart.
 pub(super) fn chart_name(figure: &Figure, task: &str, metric: &str) -> String {
     let of_task = match task {

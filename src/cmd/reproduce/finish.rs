@@ -80,6 +80,11 @@ pub(super) fn finish(
     }
     let document = &results.document;
     page.title.clone_from(&plan.title);
+    if !document.failed.is_empty() {
+        let failed = document.failed.join("; ");
+        page.settings
+            .push(("failed and missing".to_owned(), failed));
+    }
     page.commands = vec![command];
     write(&document.page, page.to_html().as_bytes())?;
     let text = serde_json::to_vec_pretty(document)?;

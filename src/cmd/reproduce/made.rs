@@ -93,6 +93,7 @@ pub(super) fn tables(
     for laid_out in &mut tables {
         laid_out.sort_systems(&wanted);
         laid_out.notes.extend(note_of_trainings(&found));
+        laid_out.notes.extend(note_of_missing(&wanted, &found));
         if published {
             laid_out.append_published(paper);
         }
@@ -105,6 +106,19 @@ pub(super) fn tables(
         trainings,
         ..TableMade::default()
     }))
+}
+
+/// The systems of the table that have no edits, because a step of theirs failed.
+fn note_of_missing(wanted: &[&str], found: &[&(String, Vec<PathBuf>)]) -> Option<String> {
+    let has_row = |name: &&&str| found.iter().any(|(system, _)| system == **name);
+    let missing = wanted.iter().filter(|name| !has_row(name)).copied();
+    let missing: Vec<&str> = missing.collect();
+    (!missing.is_empty()).then(|| {
+        format!(
+            "The plan failed to make edits of {}, which have no row.",
+            missing.join(", ")
+        )
+    })
 }
 
 fn note_of_trainings(systems: &[&(String, Vec<PathBuf>)]) -> Option<String> {

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use self::figures::drawn;
+use self::files::without_rows;
 use self::finish::{Done, finish};
 use self::made::tables;
 use self::plan::{FigureSpecs, Plan, Trained};
@@ -118,7 +119,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     for table in &plan.tables {
         match tables(table, args.published, &plan, &work, &done.edits, global) {
-            Ok(made) => done.tables.extend(made),
+            Ok(Some(made)) => done.tables.push(made),
+            Ok(None) => done.failed.0.push(without_rows(table.paper, &plan.out)),
             Err(error) => done
                 .failed
                 .add(&format!("table {}", table.paper.name()), error)?,
