@@ -486,6 +486,16 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     for (figure, point) in [(1, 0), (1, 1), (2, 0), (2, 1)] {
         assert!(len_of(&made["figures"][figure]["points"][point]["scores"]) > 0);
     }
+    // The numbers of a figure say who judged what, and which points have none.
+    let items = made["figures"][1]["points"][0]["scores"][0]["n"].to_string();
+    let said = [
+        &format!("semantic: {items} item"),
+        "; encoder ",
+        "compose.fixed_pairs = true: This table ranks nothing.",
+    ];
+    assert_has(&bench.text("made/tables/pairs.md"), &said);
+    let said = ["train.window = 400 has no values."];
+    assert_has(&bench.text("made/tables/window.md"), &said);
     assert_eq!(bench.root_hash(), before);
     let mut seeds: Vec<u64> = fs::read_dir(bench.path("made/runs"))
         .expect("runs")

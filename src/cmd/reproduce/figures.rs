@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use datasets_spec::record::ScoreRow;
 use eval::format::grid::Grid;
+use eval::judge::Judges;
 use eval::report::Chart;
+use eval::table::Table;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -24,6 +26,8 @@ pub(super) struct FigureMade {
     /// Number of items that are too short for at least one point; they are scored at no point.
     pub(super) left_out: usize,
     pub(super) points: Vec<PointMade>,
+    /// What was measured, by which encoder, and what the figure lacks.
+    pub(super) notes: Vec<String>,
     #[serde(skip)]
     pub(super) charts: Vec<(String, Chart)>,
     /// Names of the metrics and tasks that it shows.
@@ -98,10 +102,49 @@ pub(super) fn drawn(
         drawings: Vec::new(),
         left_out,
         points,
+        notes: notes(specs, &scores, &judges, left_out),
         charts: charts(specs, &scores, left_out),
         shows: [of_metrics.collect(), of_tasks.collect()],
         grid: figure.grid(&specs.metrics, &specs.tasks, &specs.points, &scores),
     })
+}
+
+/// The conditions of the figure, points at which no system is ranked, and what it lacks.
+fn notes(
+    specs: &FigureSpecs<'_>,
+    scores: &[Vec<ScoreRow>],
+    judges: &Judges,
+    left_out: usize,
+) -> Vec<String> {
+    let of_tasks = |rows: &[ScoreRow]| -> Vec<Table> {
+        let mut tables = Table::from_scores(rows, judges, &specs.metrics);
+        let is_shown = |table: &Table| specs.tasks.contains(&table.task.as_str());
+        // With one kind of edit, no table covers all tasks.
+        match tables.iter().any(is_shown) {
+            true => tables.retain(is_shown),
+            false => tables.truncate(1),
+        }
+        tables
+    };
+    let first = scores.iter().find(|rows| !rows.is_empty());
+    let tables = first.map_or_else(Vec::new, |rows| of_tasks(rows));
+    let mut notes: Vec<String> = tables.iter().map(Table::head).collect();
+    for (point, rows) in specs.points.iter().zip(scores) {
+        let name = point.name();
+        if rows.is_empty() {
+            notes.push(format!("{name} has no values."));
+        }
+        let unranked = of_tasks(rows)
+            .into_iter()
+            .filter_map(|table| table.unranked);
+        notes.extend(unranked.map(|reason| format!("{name}: {reason}")));
+    }
+    if left_out > 0 {
+        notes.push(format!(
+            "{left_out} items are shorter than the longest window and count at no point."
+        ));
+    }
+    notes
 }
 
 /// A chart for each task and metric, with the name of its file.

@@ -171,7 +171,9 @@ impl Results<'_> {
             figure.drawings.push(drawing);
             page.figures.push(chart);
         }
-        for (extension, text) in [("md", figure.grid.markdown()), ("csv", figure.grid.csv())] {
+        let notes = figure.notes.iter().map(|note| format!("\n{note}\n"));
+        let page = figure.grid.markdown() + &notes.collect::<String>();
+        for (extension, text) in [("md", page), ("csv", figure.grid.csv())] {
             let table = format!("{}.{extension}", file_name(&figure.name));
             write(&self.out.join("tables").join(table), text.as_bytes())?;
         }
