@@ -1,4 +1,4 @@
-//! Gliding: bodies that move over the ground without walking.
+//! Gliding: bodies that move over the ground without walking, and bodies that should move and stay.
 
 use kinematics::KeypointFrame;
 
@@ -20,6 +20,24 @@ pub static GLIDING: Metric = Metric {
         is_locomotion.then(|| match glides(sample.keypoints, sample.target.swing_m) {
             true => 100.0,
             false => 0.0,
+        })
+    }),
+};
+
+/// Share of the items with locomotion whose edit stays where it is, in percent. A body that never moves does not glide, so
+/// [`GLIDING`] alone would call it perfect.
+pub static STAYING: Metric = Metric {
+    name: "Staying (%)",
+    about: "share of the items with locomotion whose edit has none: its pelvis stays within 0.5 m of where it began. Real \
+            data has 0, and so has a body that glides",
+    part: Part::Quality,
+    better: |_| Better::NearReal,
+    decimals: 1,
+    measure: Measure::Motion(|sample| {
+        let is_locomotion = sample.target.way_m > LEAST_WAY_M;
+        is_locomotion.then(|| match way(sample.keypoints) > LEAST_WAY_M {
+            true => 0.0,
+            false => 100.0,
         })
     }),
 };

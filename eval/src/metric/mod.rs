@@ -27,7 +27,7 @@ pub(crate) const CM_PER_M: f64 = 100.0;
 
 /// Version of the metrics. It is raised when a metric gives other values for the same motions, so that stored scores
 /// are computed again. Stored scores are also computed again if the names of [`ALL`] change.
-pub const METRICS_VERSION: u32 = 4;
+pub const METRICS_VERSION: u32 = 5;
 
 /// All metrics: the columns of the paper's Table 1, the other columns of the main table, further ones, and motion
 /// quality.
@@ -59,6 +59,7 @@ pub static ALL: &[&Metric] = &[
     &motion_quality::INSIDE_ACCELERATION,
     &motion_quality::JERK,
     &gliding::GLIDING,
+    &gliding::STAYING,
     &motion_quality::ROTATION_STEP,
 ];
 

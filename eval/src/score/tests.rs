@@ -17,7 +17,7 @@ use crate::metric::diversity::DIVERSITY;
 use crate::metric::fid::{FID, FID_RAW};
 use crate::metric::fit_error::{BONE_DRIFT, FIT_ERROR};
 use crate::metric::foot_score::FOOT_SCORE;
-use crate::metric::gliding::GLIDING;
+use crate::metric::gliding::{GLIDING, STAYING};
 use crate::metric::motion_quality::{FOOT_SLIDE, INSIDE_ACCELERATION, JERK, SEAM_ACCELERATION};
 use crate::metric::multimodality::MULTIMODALITY;
 use crate::metric::position_error::POSITION_ERROR;
@@ -203,6 +203,7 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
         &SEAM_ACCELERATION,
         // No item has locomotion.
         &GLIDING,
+        &STAYING,
     ];
     let metrics = || metric::ALL.iter().filter(|metric| !absent.contains(metric));
     // Three tasks, four systems, and one [`TOLD_APART`] row per task.
@@ -289,6 +290,27 @@ fn with_seams(num_items: usize, num_long: usize, windows: &[usize]) -> Vec<Score
     };
     let edits: Vec<EditRow> = windows.iter().flat_map(answers).collect();
     scored(&items, &edits, &Protocol::default()).expect("valid")
+}
+
+#[test]
+fn a_body_that_stays_where_its_target_moves_does_not_glide() {
+    let mut items = questions(12);
+    for (index, row) in items.iter_mut().enumerate() {
+        let poses = [0.0, 0.3, 0.6].map(|x| {
+            let mut pose = motion(index, "target").pose(0);
+            pose.transl.x += x;
+            pose
+        });
+        let moving = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        row.set_motions(&motion(index, "source"), Some(&moving), None);
+        row.id = row.content_id();
+    }
+    let edits = [perfect("moves", &items), lazy("stays", &items)].concat();
+    let scores = scored(&items, &edits, &Protocol::default()).expect("valid");
+    for (system, staying) in [(REAL_DATA, 0.0), ("moves", 0.0), ("stays", 100.0)] {
+        assert_eq!(value(&scores, "all", system, &GLIDING), 0.0);
+        assert_eq!(value(&scores, "all", system, &STAYING), staying, "{system}");
+    }
 }
 
 #[test]
