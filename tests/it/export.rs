@@ -142,6 +142,9 @@ fn triplets_and_items_become_dumps_of_motionfix() {
         let said = exported(&made, "motionfix", &out, &[]);
         let count = said["clips"].as_u64().expect("a count") as usize;
         assert!((1..=6).contains(&count), "{verb}: {count}");
+        // All are semantic edits of motions at 20 fps.
+        let lost = ["masks", "resampled_clips"].map(|what| &said["left_out"][what]);
+        assert_eq!(lost, [count, 2 * count], "{said}");
         let splits: BTreeMap<String, Vec<String>> = json_of(out.join("splits.json"));
         let keys: Vec<&String> = splits.values().flatten().collect();
         assert_eq!(keys.len(), count, "{verb}");

@@ -83,7 +83,7 @@ const ACTIONS: &str = "actions";
 const STYLES: &str = "styles";
 const LICENSES: &str = "licenses";
 const MIRROR_LINKS: &str = "mirror_links";
-const MASKS: &str = "masks";
+pub(super) const MASKS: &str = "masks";
 pub(super) const PAIRS: &str = "pairs";
 const FEATURES: &str = "humanml3d_features";
 

@@ -15,12 +15,13 @@ use compose::style_instruction;
 use datasets_spec::record::{ItemRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, MotionId, Progress, Skeleton, Split};
+use features::released_fps;
 use formats::write::motionfix::Parameters;
 use pickle::{DictWriter, Value};
 use rayon::prelude::*;
 
 use super::document::{Lines, file, write_json};
-use super::left_out::{Exported, PAIRS, put};
+use super::left_out::{Counts, Exported, MASKS, PAIRS, put};
 use crate::Error;
 use crate::clips::Clips;
 use work::NewFolder;
@@ -82,6 +83,10 @@ pub fn export_triplets(
     if tables.contains_key(TripletRow::TABLE) {
         for (path, _) in dataset.files(TripletRow::TABLE, None) {
             let rows: Vec<TripletRow> = read_rows(&path)?;
+            let facts = rows
+                .iter()
+                .map(|row| (row.fps, !row.hard_joints.is_empty()));
+            count_lost(facts, &mut done.left_out);
             writer.take(&rows, &of_triplet)?;
         }
     } else {
@@ -91,6 +96,10 @@ pub fn export_triplets(
             rows.retain(|item| item.target_frames > 0);
             let without_target = (all - rows.len()) as u64;
             put(&mut done.left_out, "items_without_target", without_target);
+            let facts = rows
+                .iter()
+                .map(|row| (row.fps, !row.hard_joints.is_empty()));
+            count_lost(facts, &mut done.left_out);
             writer.take(&rows, &of_item)?;
         }
     }
@@ -103,6 +112,16 @@ pub fn export_triplets(
     folder.publish()?;
     progress.finish(&format!("{} triplets", done.clips));
     Ok(done)
+}
+
+/// Counts the masks of triplets, and motions that are brought to the rate of MotionFix. `facts` are the rate of each triplet,
+/// and whether it has a mask.
+fn count_lost(facts: impl Iterator<Item = (f32, bool)>, left_out: &mut Counts) {
+    for (fps, is_masked) in facts {
+        put(left_out, MASKS, u64::from(is_masked));
+        let is_resampled = f64::from(fps) != released_fps().get();
+        put(left_out, "resampled_clips", 2 * u64::from(is_resampled));
+    }
 }
 
 fn none(dataset: &Dataset) -> Error {
