@@ -400,6 +400,15 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     let tasks: BTreeSet<&String> = answers.iter().map(|row| &row.task).collect();
     assert_eq!(own["counts"]["labels"], tasks.len(), "{own}");
     assert!(own["counts"]["merged_or_imported"].is_null(), "{own}");
+    // It is for reading.
+    let sheet = to.join("labels.csv");
+    for path in [&to, &sheet] {
+        let refused = made.try_annotate("dataset", "third.sqlite", &["import", arg(path)]);
+        refused.expect_refused("csv and labels are for reading");
+    }
+    let absent = to.join("absent.csv");
+    made.try_annotate("dataset", "third.sqlite", &["import", arg(&absent)])
+        .expect_refused("cannot read");
     // A later export into the folder of a table leaves the table there, which is not of that export.
     let twice = made.path("twice");
     for format in ["parquet", "csv"] {

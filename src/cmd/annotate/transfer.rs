@@ -5,6 +5,7 @@ use std::path::Path;
 use annotate::store::Store;
 use annotate::transfer::{self, CHOSEN, Taken};
 use annotate::wire::ExportRequest;
+use anyhow::Context;
 use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
 
@@ -35,7 +36,14 @@ pub(super) fn import(
                 false if file.extension().is_some_and(|found| found == "parquet") => {
                     transfer::from_annotations(store, file, None, now())?
                 }
-                false => transfer::from_release(store, &read_json(file)?, None, now())?,
+                false if file.extension().is_some_and(|found| found == "json") => {
+                    transfer::from_release(store, &read_json(file)?, None, now())?
+                }
+                false => {
+                    std::fs::metadata(file)
+                        .with_context(|| format!("cannot read {}", file.display()))?;
+                    return Err(no_answers(file));
+                }
             };
             taken.messages.splice(..0, messages);
             taken
@@ -87,7 +95,18 @@ fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Ta
             both.insert(name.to_owned(), read_json(&path)?);
         }
     }
+    if both.is_empty() {
+        return Err(no_answers(folder));
+    }
     Ok(transfer::from_release(store, &both.into(), None, now())?)
+}
+
+fn no_answers(path: &Path) -> anyhow::Error {
+    anyhow::anyhow!(
+        "{} holds no answers that can be imported: give an export in format parquet or stance (csv and labels are for reading), a \
+         folder of `stance export --to stance`, or a STANCE release",
+        path.display()
+    )
 }
 
 fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
