@@ -54,9 +54,16 @@ impl Bench {
 
     /// A workshop with `count` items.
     pub(crate) fn of_items(count: &str) -> Self {
-        let workshop = Workshop::open();
-        workshop.train("motionrefit", "editor", "4").expect_code(0);
-        workshop.run("train tmr @dataset --out @encoder --config @encoder.toml");
+        Self::of(Workshop::open(), count)
+    }
+
+    /// A workshop with the files of its dataset's source.
+    fn with_corpus() -> Self {
+        Self::of(Workshop::with_corpus(), "8")
+    }
+
+    fn of(workshop: Workshop, count: &str) -> Self {
+        workshop.train_both();
         let bench = Self { workshop };
         bench.items("items", &["--count", count]);
         bench
@@ -429,7 +436,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
 
 #[test]
 fn a_plan_trains_anew_when_its_dataset_has_grown_or_its_text_vectors_change() {
-    let bench = Bench::open();
+    let bench = Bench::with_corpus();
     write_plan(&bench, ONE_TABLE);
     let first = reproduced(&bench);
     bench.run("--seed 9 corpus --clips 30 --out @more");
@@ -633,7 +640,7 @@ fn tall_body(path: &Path) -> Skeleton {
 
 #[test]
 fn a_model_of_another_body_is_refused_with_both_hashes() {
-    let bench = Bench::open();
+    let bench = Bench::with_corpus();
     let tall = tall_body(&bench.path("tall.npy"));
     bench.run("ingest @corpus --out @tall --body-model @tall.npy");
     bench.run("masks @tall");

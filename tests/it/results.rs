@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::evaluate::{Bench, UNPOSED};
 use crate::tables::{printed, tables};
-use crate::util::{arg, assert_has, list_of, number_of, word_of};
+use crate::util::{arg, assert_has, copy_all, list_of, number_of, word_of};
 
 /// Writes a table of rows as another program would.
 pub(crate) fn write_rows<R: Row>(
@@ -270,10 +270,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
     let again = bench.path("again");
-    let copied = std::process::Command::new("cp")
-        .args(["-r", arg(&first), arg(&again)])
-        .status();
-    assert!(copied.expect("cp starts").success());
+    copy_all(&first, &again);
     let report = |other: &str| bench.typed(&format!("report @first @{other} --out @page.html"));
     for ran in [bench.eval(&[&first, &again], &[]), report("again")] {
         let parts = ["two motions of item", "sampled with seed 0", "--seed"];

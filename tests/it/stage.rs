@@ -576,7 +576,7 @@ fn a_piece_whose_process_is_killed_fails_alone() {
 
 #[test]
 fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
-    let workshop = Workshop::open();
+    let workshop = Workshop::with_corpus();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
     workshop.run("items @dataset --out @items --split train --count 70");
     workshop.trained("mld", "mld", SMALL_GENERATOR, "--steps 3");

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex, OnceLock, Weak};
 
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::store::{Disk, Store};
@@ -12,8 +13,8 @@ use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
 use crate::util::{
-    Folder, Ran, arg, assert_has, files_with_extension, json_lines, json_of, len_of, number_of,
-    root_hash_of, stance, typed,
+    Folder, Ran, arg, assert_has, copy_all, files_with_extension, json_lines, json_of, len_of,
+    number_of, root_hash_of, stance, typed,
 };
 
 /// Clips of the corpus: six styles of twenty actions.
@@ -36,6 +37,31 @@ const SMALL: &str = "
 /// A dataset with masks, and settings of small networks.
 pub(crate) struct Workshop {
     folder: Folder,
+    /// The workshop of which this one is a copy; it lies as long as a copy does.
+    shared: Option<Arc<Shared>>,
+}
+
+/// A workshop that those of all tests of this process are copies of.
+pub(crate) struct Shared {
+    workshop: Workshop,
+    /// Set once the runs `editor` and `encoder` are trained.
+    trained: OnceLock<()>,
+}
+
+impl Shared {
+    /// The shared workshop, which is made if no test holds it.
+    fn get() -> Arc<Self> {
+        static SHARED: Mutex<Weak<Shared>> = Mutex::new(Weak::new());
+        let mut shared = SHARED.lock().expect("no workshop failed");
+        shared.upgrade().unwrap_or_else(|| {
+            let made = Arc::new(Self {
+                workshop: Workshop::with_corpus(),
+                trained: OnceLock::new(),
+            });
+            *shared = Arc::downgrade(&made);
+            made
+        })
+    }
 }
 
 impl Deref for Workshop {
@@ -47,13 +73,43 @@ impl Deref for Workshop {
 }
 
 impl Workshop {
+    /// A workshop without the files of its dataset's source.
     pub(crate) fn open() -> Self {
+        let shared = Shared::get();
+        let folder = Folder::empty();
+        for name in ["dataset", "small.toml", "encoder.toml"] {
+            copy_all(&shared.workshop.path(name), &folder.path(name));
+        }
+        Self {
+            folder,
+            shared: Some(shared),
+        }
+    }
+
+    /// A workshop with the files of its dataset's source, in `corpus`.
+    pub(crate) fn with_corpus() -> Self {
         let folder = Folder::of_clips(CLIPS);
         folder.run("ingest @corpus --out @dataset");
         folder.run("masks @dataset");
         folder.put("small.toml", SMALL);
         folder.put("encoder.toml", SMALL_ENCODER);
-        Self { folder }
+        let shared = None;
+        Self { folder, shared }
+    }
+
+    /// Trains a small editor and a small encoder, or copies those of the shared workshop.
+    pub(crate) fn train_both(&self) {
+        let train = |workshop: &Self| {
+            workshop.train("motionrefit", "editor", "4").expect_code(0);
+            workshop.run("train tmr @dataset --out @encoder --config @encoder.toml");
+        };
+        let Some(shared) = &self.shared else {
+            return train(self);
+        };
+        shared.trained.get_or_init(|| train(&shared.workshop));
+        for name in ["editor", "encoder"] {
+            copy_all(&shared.workshop.path(name), &self.path(name));
+        }
     }
 
     pub(crate) fn dataset(&self) -> PathBuf {
@@ -97,7 +153,8 @@ impl Workshop {
 
     /// A clip of the corpus as a file.
     pub(crate) fn clip(&self) -> PathBuf {
-        files_with_extension(&self.path("corpus"), "bvh").remove(0)
+        let workshop = self.shared.as_ref().map_or(self, |shared| &shared.workshop);
+        files_with_extension(&workshop.path("corpus"), "bvh").remove(0)
     }
 }
 

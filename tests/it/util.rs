@@ -240,6 +240,19 @@ pub(crate) fn put(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) {
     std::fs::write(path, bytes).expect("written");
 }
 
+/// Copies a file, or a folder with all that it holds.
+pub(crate) fn copy_all(from: &Path, to: &Path) {
+    if from.is_dir() {
+        std::fs::create_dir_all(to).expect("made");
+        for entry in std::fs::read_dir(from).expect("listed") {
+            let name = entry.expect("listed").file_name();
+            copy_all(&from.join(&name), &to.join(&name));
+        }
+    } else {
+        std::fs::copy(from, to).expect("copied");
+    }
+}
+
 /// The text of a file.
 pub(crate) fn text_of(path: impl AsRef<Path>) -> String {
     std::fs::read_to_string(path).expect("text")
