@@ -59,6 +59,9 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     bench
         .typed("train tmed @dataset --out @captured --config @captured.toml")
         .expect_refused("composed");
+    bench
+        .typed("train tmed @dataset --out @captured --config @captured.toml --compose @pairs.toml")
+        .expect_refused("settings of the composer have no effect");
     // TMED follows a single instruction, for some frames or for all.
     let edit = format!(
         "edit @mixed --motion {} --out @part.npz",

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use datasets_spec::record::{EditRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow};
+use datasets_spec::record::{
+    EditRow, MaskRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow,
+};
 use datasets_spec::table::Row;
 use serde_json::Value;
 
 use crate::util::{
-    Folder, arg, assert_has, dataset_of, files_with_extension, json_of, number_of, rows_of,
+    Folder, arg, assert_has, commit, dataset_of, files_with_extension, json_of, number_of, rows_of,
     stem_of, typed,
 };
 
@@ -156,6 +158,17 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     record("windows", "");
     assert_eq!(hash("windows"), before);
     folder.run(&again);
+    // Windows with masks that the dataset has no more are refused.
+    let masks: Vec<MaskRow> = folder.rows("dataset");
+    commit(
+        &folder.path("dataset"),
+        &masks[1..],
+        |row| row.split,
+        "fewer",
+    );
+    folder
+        .typed(&again)
+        .expect_refused("other motions, masks or pairs");
 
     let stats: Value = folder.json("triplets stats @dataset --sheet @sheet.svg");
     assert!(number_of(&stats["distinct_pairs"]["semantic"]) > 100.0);

@@ -233,6 +233,16 @@ fn the_released_pose_network_begins_as_pytorchs_layers_do() {
         .map(|bytes| f32::from_le_bytes(*bytes))
         .collect();
     assert_eq!(variances.len(), 128);
+    // The file beside the report, which was measured with it, has the weights that edits use.
+    assert_eq!(tensors(&workshop.path("poses/model.safetensors")), weights);
+    // The running statistics of a batch follow the order of the steps, on any number of threads.
+    let one = [&settings[..], &["--threads", "1"]].concat();
+    workshop.train_with("j2s", "one", &one).expect_code(0);
+    let [several, one] = ["poses", "one"].map(|run| {
+        let weights = format!("{run}/checkpoint/last/model.safetensors");
+        fs::read(workshop.path(&weights)).expect("weights")
+    });
+    assert!(several == one);
     assert!(variances.iter().all(|&variance| variance > 0.0));
 }
 
@@ -356,6 +366,18 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     workshop.train("coordinator", "guide", "6").expect_code(0);
     let clip = workshop.clip();
     let edit = format!("edit @editor --motion {}", clip.display());
+    // The last step was validated as the best: its averaged weights are those of checkpoint `best`, and not the plain ones.
+    let [best, last] = ["best", "last"].map(|slot| {
+        workshop.run(&format!(
+            "{edit} --text wave --checkpoint {slot} --out @of-{slot}"
+        ));
+        let row: EditRow = workshop.rows(&format!("of-{slot}")).remove(0);
+        (row.checkpoint_hash, row.transl, row.body_pose)
+    });
+    assert_eq!(best, last);
+    let weights = |file: &str| fs::read(workshop.path("editor/checkpoint").join(file));
+    let plain = weights("last/denoiser.safetensors").expect("weights");
+    assert!(plain != weights("best/denoiser.safetensors").expect("weights"));
     let magic: [(&str, &[u8]); 6] = [
         ("npz", b"PK"),
         ("bvh", b"HIERARCHY"),

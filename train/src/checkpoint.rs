@@ -487,7 +487,18 @@ pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
             }
         })
     })?;
-    Ok(Opened::new(record, files))
+    Ok(Opened::new(record, averaged(files)))
+}
+
+/// The files of a checkpoint, with averaged weights in place of plain ones where it has both: they are what is validated.
+/// Only [`Slot::Last`] has both, because a training goes on from the plain ones.
+fn averaged(files: Files) -> Files {
+    let (averages, mut files): (Files, Files) = files
+        .into_iter()
+        .partition(|(name, _)| name.starts_with(EMA_PREFIX));
+    let averages = averages.into_iter();
+    files.extend(averages.map(|(name, bytes)| (name[EMA_PREFIX.len()..].to_owned(), bytes)));
+    files
 }
 
 /// Names of the checkpoints of a run.

@@ -14,7 +14,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use, take, write_atomically};
+use crate::checkpoint::{self, Run, RunRecord, Slot, Start, open_for_use, take, write_atomically};
 use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
 use crate::model::pose_net::{
     NAMES, OFFICIAL_INPUT, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_OUTPUT,
@@ -218,9 +218,13 @@ pub fn train_j2s<'a>(
             (Network::Official(Box::new(net)), done)
         }
     };
-    let net = PoseNet {
-        network,
-        faces_forward: config.faces_forward,
+    // Edits use the best checkpoint; a run that was stopped early may have none.
+    let net = match checkpoint::read(run_dir, Slot::Best)? {
+        Some(_) => PoseNet::load(run_dir, Slot::Best, session.device)?.0,
+        None => PoseNet {
+            network,
+            faces_forward: config.faces_forward,
+        },
     };
     let report = J2sReport {
         config: config.clone(),
@@ -259,7 +263,8 @@ fn fit<M: Networks>(
         kind: KIND,
         samples: "poses",
         run: settings,
-        of_thread: Some(128),
+        // Batch normalisation is over the whole batch, and its running statistics are in the order of the steps.
+        of_thread: (config.preset == J2sPreset::Paper).then_some(128),
         epoch_len: train.iter().map(|motion| motion.len() as u64).sum(),
         draw: &|step, micro| {
             let run = &config.run;

@@ -9,7 +9,7 @@ use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
-use super::EditKind;
+use super::{EditKind, style_instruction};
 
 /// How much of a test question the training split contains. This is decided by instructions and by labels of clips
 /// (action, style and performer), not by the similarity of motions.
@@ -131,8 +131,7 @@ impl Shown {
             let styles: Vec<Option<String>> = read_column::<PairRow, _>(&path, "style")?;
             let texts: Vec<String> = read_column::<PairRow, _>(&path, "instruction")?;
             for (clip, (style, text)) in clips.iter().zip(styles.into_iter().zip(texts)) {
-                let edit = style.map_or(Edit::Text(text), Edit::Style);
-                shown.take_edit(clip, edit);
+                shown.take_pair(clip, style, text);
             }
         }
         Ok(shown)
@@ -146,6 +145,19 @@ impl Shown {
             self.edits_of.insert((group.action.clone(), edit));
         }
         self.trained.insert(group.clone());
+    }
+
+    /// Takes the edit of a pair in its words and, if it is of style, under its name: a question about a style is looked up by
+    /// the label of its target, or by its words if the target has none.
+    fn take_pair(&mut self, source: &MotionId, style: Option<String>, text: String) {
+        let text = match (&style, text.trim()) {
+            (Some(style), "") => style_instruction(style),
+            _ => text,
+        };
+        self.take_edit(source, Edit::Text(text));
+        if let Some(style) = style {
+            self.take_edit(source, Edit::Style(style));
+        }
     }
 
     fn take_edit(&mut self, clip: &MotionId, edit: Edit) {
@@ -270,6 +282,24 @@ mod tests {
         assert_eq!(longer("kick-b"), Some(Novelty::Combination));
         assert_eq!(longer("hop"), Some(Novelty::Action));
         assert_eq!(fine("walk-b", "Take a bow."), Some(Novelty::Unshown));
+    }
+
+    #[test]
+    fn a_style_that_only_pairs_name_is_known_by_its_words() {
+        let mut shown = shown();
+        let lists = [("limping", "Limp."), ("old", "")];
+        for (style, text) in lists {
+            shown.take_pair(&id("walk-a"), Some(style.to_owned()), text.to_owned());
+        }
+        let of = |source: &str, text: &str| {
+            let clips = [&id(source), &id("walk-long")];
+            shown.novelty(clips, text, Some(EditKind::Style))
+        };
+        for text in ["Limp.".to_owned(), style_instruction("old")] {
+            assert_eq!(of("walk-b", &text), Some(Novelty::Retake), "{text}");
+            assert_eq!(of("kick-b", &text), Some(Novelty::Combination), "{text}");
+        }
+        assert_eq!(of("walk-b", "Sneak."), Some(Novelty::Unshown));
     }
 
     #[test]

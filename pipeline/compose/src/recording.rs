@@ -75,6 +75,28 @@ pub fn settings_of(windows: &Dataset) -> Result<Option<Settings>, serde_json::Er
     fact.map(|text| serde_json::from_str(text)).transpose()
 }
 
+/// Whether the windows of a folder were recorded from the motions, masks and pairs that a dataset has now.
+///
+/// # Errors
+/// The condition on the recorded clips cannot be evaluated, or the dataset cannot be read.
+pub fn is_recorded_from(
+    windows: &Dataset,
+    settings: &Settings,
+    dataset: &Dataset,
+) -> Result<bool, Error> {
+    let condition = settings.condition.as_deref().map(str::parse).transpose()?;
+    let chosen = chosen(dataset, condition.as_ref())?;
+    let plan = settings.plan_hash(&chosen.content_hash(&COMPOSED));
+    Ok(windows.manifest().plan(settings.kind.table()) == plan)
+}
+
+impl Settings {
+    fn plan_hash(&self, content_hash: &str) -> String {
+        let inputs = (content_hash, &self.config, &self.seed, &self.count);
+        plan_hash(self.kind.table(), &inputs)
+    }
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -193,17 +215,15 @@ impl Recording {
         normalizer: Option<Normalizer>,
     ) -> Result<Self, Error> {
         let Settings {
-            kind,
-            count,
             config,
             seed,
             condition,
+            ..
         } = settings;
         let condition = condition.as_deref().map(str::parse).transpose()?;
         let dataset = chosen(&Dataset::open(root)?, condition.as_ref())?;
         let content_hash = dataset.content_hash(&COMPOSED);
-        let inputs = (&content_hash, config, seed, count);
-        let plan_hash = plan_hash(kind.table(), &inputs);
+        let plan_hash = settings.plan_hash(&content_hash);
         let (stream, normalizer) = train_stream(&dataset, config, *seed, normalizer)?;
         Ok(Self {
             skeleton: dataset.skeleton()?,

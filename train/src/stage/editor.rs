@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use compose::recording::settings_of;
+use compose::recording::{is_recorded_from, settings_of};
 use compose::{COMPOSED, ComposeConfig, ReadOrder, WindowLoader, library};
 use datasets_spec::record::{NormalizerRow, WindowRow};
 use datasets_spec::table::Row;
@@ -57,7 +57,7 @@ pub fn train_editor<'a>(
     config.check()?;
     let start = start.into();
     let seed = config.run.seed;
-    let windows = windows.map(|folder| recorded_windows(folder, config.window));
+    let windows = windows.map(|folder| recorded_windows(folder, dataset, config.window));
     let windows = windows.transpose()?;
     let compose = windows.as_ref().map_or(compose, |(_, made)| &made.config);
     let mut streams = Streams::open(dataset, compose, config.window, seed, start.range()?)?;
@@ -123,7 +123,11 @@ fn data_hash(dataset: &Dataset, windows: Option<&Dataset>) -> String {
 }
 
 /// Recorded windows, and how they were composed. The network takes windows of `window` frames.
-fn recorded_windows(folder: &Path, window: usize) -> Result<(Dataset, ComposeRecord), Error> {
+fn recorded_windows(
+    folder: &Path,
+    dataset: &Dataset,
+    window: usize,
+) -> Result<(Dataset, ComposeRecord), Error> {
     let windows = Dataset::open(folder)?;
     let Some(made) = settings_of(&windows).map_err(json_error(folder))? else {
         return Err(Error::Refused(format!(
@@ -132,6 +136,15 @@ fn recorded_windows(folder: &Path, window: usize) -> Result<(Dataset, ComposeRec
             folder.display()
         )));
     };
+    if !is_recorded_from(&windows, &made, dataset)? {
+        return Err(Error::Refused(format!(
+            "the windows in {} were recorded from other motions, masks or pairs than {} has now; record them again: \
+             stance triplets {} --windows N --out FOLDER",
+            folder.display(),
+            dataset.root().display(),
+            dataset.root().display()
+        )));
+    }
     let made = ComposeRecord {
         config: made.config,
         seed: made.seed,

@@ -10,7 +10,7 @@ use super::config::{ClipData, TmedConfig};
 use super::edit;
 use super::task::{KIND, TmedCorpus, train_tmed};
 use crate::compose::ComposeRecord;
-use crate::config::ensure;
+use crate::config::{TrainConfig, ensure};
 use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::stage::validation_stream;
 use crate::{Error, Session};
@@ -39,6 +39,12 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     request.split(&mut config.run, &config.model, tokens);
     // Check the settings before the slow encoding of texts.
     config.check()?;
+    let is_composed_as_preset = *request.compose == TrainConfig::compose_preset(request.preset);
+    ensure(
+        config.data == ClipData::Composed || is_composed_as_preset,
+        "data",
+        "it is pairs, for which settings of the composer have no effect; leave them out, or set it to composed",
+    )?;
     let (dataset, run) = (request.dataset, request.start.run);
     let skeleton = dataset.skeleton()?;
     let seed = Seed(config.run.seed);
