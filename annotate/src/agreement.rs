@@ -80,12 +80,15 @@ fn ac1(items: &[&Item], labels: usize) -> f64 {
     (agreed - chance) / (1.0 - chance)
 }
 
-/// Agreement on one decision with labels `0..labels`.
-pub(crate) fn part_agreement(part: &str, items: &[Item], labels: usize) -> PartAgreement {
+/// Agreement on decisions with labels `0..labels`. Each task has one decision or more, which the same people made; the
+/// bootstrap draws tasks.
+pub(crate) fn part_agreement(part: &str, tasks: &[Vec<Item>], labels: usize) -> PartAgreement {
     PartAgreement {
         part: part.to_owned(),
-        items: items.len(),
-        gwet_ac1: estimate(items, |items| ac1(items, labels)),
+        items: tasks.len(),
+        gwet_ac1: estimate(tasks, |tasks| {
+            ac1(&tasks.iter().copied().flatten().collect::<Vec<_>>(), labels)
+        }),
     }
 }
 
@@ -137,6 +140,13 @@ mod tests {
         assert!((found.value - 0.9).abs() < 1e-12);
         // The binomial half width at 0.9 and 200 items is 0.042.
         assert!((0.83..0.9).contains(&found.low) && (0.9..0.97).contains(&found.high));
-        assert_eq!(part_agreement("x", &rows(&[(29, 0, 0)]), 2).gwet_ac1, None);
+        let of_tasks = |count: usize, decisions: usize| {
+            let tasks = vec![rows(&[(decisions, 0, 0)]); count];
+            part_agreement("x", &tasks, 2).gwet_ac1
+        };
+        assert_eq!(of_tasks(29, 1), None);
+        // Five decisions about a task are no five tasks.
+        assert_eq!(of_tasks(6, 5), None);
+        assert_eq!(of_tasks(30, 5).map(|found| found.items), Some(30));
     }
 }

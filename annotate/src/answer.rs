@@ -97,6 +97,17 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         && (imported.note.is_empty() || ours.note == imported.note)
 }
 
+/// Whether answers say the same of the same task in the same words, notes aside.
+pub(crate) fn share_words(answers: &[Answer]) -> bool {
+    let plain = |answer: &Answer| {
+        let fields = answer.fields();
+        Fields { note: "", ..fields }.answer(answer.kind())
+    };
+    let plain: Vec<Answer> = answers.iter().map(plain).collect();
+    let is_same = |pair: &[Answer]| says(&pair[0], &pair[1]) && says(&pair[1], &pair[0]);
+    plain.windows(2).all(is_same)
+}
+
 /// Whether the masks agree one by one in some order.
 fn say_masks(ours: &[&MaskAnswer], imported: &[MaskAnswer]) -> bool {
     let Some((first, others)) = imported.split_first() else {
@@ -564,6 +575,23 @@ mod tests {
         // Without its soft ring, a mask equals one whose ring joints are all excluded.
         let chosen = two_arms(|masks| masks[1].joints = collar(JointWeight::None));
         assert!(says(&ours, &chosen) && says(&chosen, &two_arms(|masks| masks[1].soft = false)));
+    }
+
+    #[test]
+    fn answers_share_their_words_or_contradict_each_other() {
+        let raised = |text: &str, note: &str| {
+            said(json!({
+                "kind": "pair", "verdict": "keep", "parts": ["LEFT_ARM"], "edit_type": "spatial", "text": text,
+                "note": note,
+            }))
+        };
+        let (higher, lower) = (raised("raise it", ""), raised("lower it", ""));
+        assert!(share_words(&[
+            higher.clone(),
+            raised(" raise it ", "at the end")
+        ]));
+        assert!(!share_words(&[higher, lower]));
+        assert!(share_words(&[pair("unclear"), pair("unclear")]));
     }
 
     #[test]

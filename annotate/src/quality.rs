@@ -167,9 +167,9 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
         .iter()
         .partition(|task| task.said[0].verdict.is_none());
     let jaccards: Vec<f64> = masks.iter().filter_map(|task| mean(&task.alike)).collect();
-    let verdicts: Vec<Item> = pairs
+    let verdicts: Vec<Vec<Item>> = pairs
         .iter()
-        .map(|task| task.said.iter().filter_map(|said| said.verdict).collect())
+        .map(|task| vec![task.said.iter().filter_map(|said| said.verdict).collect()])
         .collect();
     let decided: Vec<f64> = all
         .iter()
@@ -204,21 +204,22 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
 
 /// Agreement on whether a mask covers each part of the release, and `overall` on the decisions about all parts.
 fn agreement_by_part(tasks: &[&Shared<'_>]) -> Vec<PartAgreement> {
-    let covers = |part: usize| -> Vec<Item> {
-        let items = tasks.iter().map(|task| {
-            let covers = task.said.iter().map(|said| usize::from(said.covers[part]));
-            covers.collect()
-        });
-        items.collect()
+    let covers = |parts: std::ops::Range<usize>| -> Vec<Vec<Item>> {
+        let decisions = |task: &&Shared<'_>| -> Vec<Item> {
+            let of_part = |part: usize| -> Item {
+                let covers = task.said.iter().map(|said| usize::from(said.covers[part]));
+                covers.collect()
+            };
+            parts.clone().map(of_part).collect()
+        };
+        tasks.iter().map(decisions).collect()
     };
-    let parts: [Vec<Item>; NUM_RELEASE_PARTS] = std::array::from_fn(covers);
-    let all: Vec<Item> = parts.concat();
-    let names = RELEASE_PARTS.iter().map(|part| part.name());
-    let mut decisions: Vec<(&str, &Vec<Item>)> = names.zip(&parts).collect();
-    decisions.push(("overall", &all));
+    let names = RELEASE_PARTS.iter().map(|part| part.name()).enumerate();
+    let mut decisions: Vec<_> = names.map(|(part, name)| (name, part..part + 1)).collect();
+    decisions.push(("overall", 0..NUM_RELEASE_PARTS));
     decisions
         .into_par_iter()
-        .map(|(name, items)| part_agreement(name, items, 2))
+        .map(|(name, parts)| part_agreement(name, &covers(parts), 2))
         .collect()
 }
 

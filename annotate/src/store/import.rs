@@ -9,7 +9,7 @@ use super::store::Store;
 use super::{log, project, read, rows, rules};
 use crate::Error;
 use crate::answer;
-use crate::wire::{Answer, Settings, TaskKind, TaskState};
+use crate::wire::{Answer, KindGuide, Settings, TaskKind, TaskState};
 
 /// Prefix that turns the key of a task into the key of its gold copy.
 pub(super) const GOLD_KEY: &str = "gold:";
@@ -23,6 +23,21 @@ impl Store {
         self.write(move |tx| project::put_settings(tx, Some(actor), settings, now))?;
         while !self.write(move |tx| retarget(tx, actor, now))? {}
         Ok(())
+    }
+
+    /// Changes the guideline of a kind of task, and no other setting, whoever changes one meanwhile.
+    pub fn put_guide(
+        &self,
+        actor: i64,
+        kind: TaskKind,
+        guide: KindGuide,
+        now: Millis,
+    ) -> Result<()> {
+        self.write(move |tx| {
+            let mut settings = project::settings(tx)?;
+            settings.guides.insert(kind, guide.clone());
+            project::put_settings(tx, Some(actor), settings, now)
+        })
     }
 
     /// Imports tasks. Tasks whose key exists stay unchanged, except that an accepted answer fills one that nobody has

@@ -142,11 +142,15 @@ fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feed
 /// The standing of an answer, from the state of its task and its own state.
 fn standing(task: TaskState, mine: RevisionState) -> Standing {
     match mine {
-        RevisionState::Returned => Standing::Returned,
+        // Nobody can work on a task that is decided, whatever became of this answer before.
+        RevisionState::Returned | RevisionState::Draft if task == TaskState::Accepted => {
+            Standing::Superseded
+        }
+        RevisionState::Returned if task != TaskState::Dropped => Standing::Returned,
         RevisionState::Draft if task != TaskState::Dropped => Standing::Draft,
         RevisionState::Accepted => Standing::Accepted,
         RevisionState::Superseded => Standing::Superseded,
-        RevisionState::Submitted | RevisionState::Draft => match task {
+        RevisionState::Submitted | RevisionState::Draft | RevisionState::Returned => match task {
             TaskState::Dropped => Standing::Dropped,
             TaskState::InReview => Standing::InReview,
             TaskState::Submitted => Standing::WaitsForReview,

@@ -217,10 +217,12 @@ impl Store {
 
     /// Weeks with their counts, without figures of agreement. `bounds` holds their starts and the end of the last one.
     pub fn weeks(&self, bounds: &[Millis]) -> Result<Vec<Week>> {
-        let sql = "SELECT CAST(?1 AS BIGINT), COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
-               COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END),
-               NULL, NULL, 0
-             FROM event WHERE at >= ?1 AND at < ?2 AND kind IN ('submitted', 'accepted', 'merged', 'returned')";
+        let sql = "SELECT CAST(?1 AS BIGINT), COUNT(CASE WHEN e.kind = 'submitted' THEN 1 END),
+               COUNT(CASE WHEN e.kind IN ('accepted', 'merged') THEN 1 END),
+               COUNT(CASE WHEN e.kind = 'returned' THEN 1 END), NULL, NULL, 0
+             FROM event e JOIN task t ON t.id = e.task
+             WHERE e.at >= ?1 AND e.at < ?2 AND e.kind IN ('submitted', 'accepted', 'merged', 'returned')
+               AND t.practice = 0";
         self.read(|tx| {
             let weeks = bounds.windows(2);
             let counts = weeks.map(|week| tx.get(sql, params![week[0], week[1]]));
@@ -231,7 +233,8 @@ impl Store {
     /// Totals of every person, without figures of quality.
     pub fn people(&self) -> Result<Vec<Person>> {
         let sql = "SELECT u.id, u.name, u.role, u.active,
-               (SELECT COUNT(*) FROM revision WHERE author = u.id AND state <> 'draft'), NULL,
+               (SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
+                WHERE r.author = u.id AND r.state <> 'draft' AND t.practice = 0), NULL,
                (SELECT COUNT(*) FROM revision WHERE author = u.id AND state = 'accepted'),
                (SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = u.id
                 WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = u.id)), NULL, NULL,

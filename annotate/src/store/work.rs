@@ -35,7 +35,8 @@ fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>> {
     let mut days: BTreeMap<(Millis, i64, TaskKind), DayWork> = BTreeMap::new();
     // The database sums by quarters of an hour, because day boundaries of every time zone fall on quarter hours.
     let rows = tx.list::<(i64, String, Millis, TaskKind, f64, [i64; 3])>(
-        "SELECT w.usr, MAX(COALESCE(u.name, '')), w.at / 900000, t.kind, SUM(w.secs), CAST(SUM(w.answers) AS BIGINT),
+        "SELECT w.usr, MAX(COALESCE(u.name, '')), w.at / 900000, t.kind, SUM(w.secs),
+           CAST(SUM(CASE WHEN t.practice = 0 THEN w.answers ELSE 0 END) AS BIGINT),
            CAST(SUM(w.skips) AS BIGINT), CAST(SUM(w.reviews) AS BIGINT)
          FROM work w JOIN task t ON t.id = w.task LEFT JOIN usr u ON u.id = w.usr
          WHERE w.at >= ?1 AND w.at < ?2 GROUP BY w.usr, w.at / 900000, t.kind ORDER BY 3, 1, 4",
@@ -73,7 +74,7 @@ fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
     let (answers, reviews, secs, first): (i64, i64, f64, Option<Millis>) = tx.get(
         "SELECT CAST(COALESCE(SUM(w.answers), 0) AS BIGINT), CAST(COALESCE(SUM(w.reviews), 0) AS BIGINT),
            CAST(COALESCE(SUM(w.secs), 0) AS DOUBLE PRECISION), MIN(w.at)
-         FROM work w JOIN task t ON t.id = w.task WHERE w.at >= ?1 AND t.kind = ?2",
+         FROM work w JOIN task t ON t.id = w.task WHERE w.at >= ?1 AND t.kind = ?2 AND t.gold IS NULL",
         params![recent, kind],
     )?;
     // If the work began within these days, the pace is measured from then on, over at least one day.
@@ -82,7 +83,7 @@ fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
     let pace = answers as f64 / days;
     let mut times: Vec<f64> = tx.list(
         "SELECT secs FROM revision r JOIN task t ON t.id = r.task
-         WHERE r.state <> 'draft' AND t.kind = ?1 AND r.at >= ?2",
+         WHERE r.state <> 'draft' AND t.kind = ?1 AND r.at >= ?2 AND t.gold IS NULL",
         params![kind, recent],
     )?;
     let median_secs = quantile::median(&mut times);

@@ -522,6 +522,13 @@ fn my_answers_say_where_each_stands() {
         assert_eq!(sent_back.len(), 1);
         assert_eq!(sent_back[0].authors, ["ann"]);
         assert_eq!(sent_back[0].state, TaskState::Returned);
+        // A task that was dropped after its return cannot be fixed.
+        let drop = decision(returned, 0, Decision::Drop);
+        site.store
+            .review(site.eve, drop, site.now())
+            .expect("drops");
+        assert_eq!(own(returned).standing, Standing::Dropped);
+        assert_eq!(own(returned).until, None);
     });
 }
 
@@ -643,6 +650,16 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
         assert_ne!(site.claim_pair(site.eve), Some(practice), "no practice");
         let people = site.store.people().expect("people");
         assert!(people.iter().all(|person| person.gold_items == 0));
+        let done = |user: i64| {
+            people
+                .iter()
+                .find(|person| person.user.id == user)
+                .map(|person| person.done)
+        };
+        assert_eq!((done(site.ann), done(site.bob)), (Some(0), Some(1)));
+        let days = site.store.work(0, i64::MAX / 2).expect("days");
+        let answers: i64 = days.iter().map(|day| day.answers).sum();
+        assert_eq!(answers, 1, "that of Bob");
         assert_eq!(site.found(json!({})).len(), 4, "no practice task");
     });
 }

@@ -201,12 +201,12 @@ export class Outbox {
 
   /** Resolves when every event of the task is acknowledged or refused. */
   settled(task: number): Promise<void> {
-    return this.when(() => !this.items.some((item) => item.task === task && item.problem === null));
+    return this.when(() => !this.sendable().some((item) => item.task === task));
   }
 
   /** Resolves when every event is acknowledged or refused, or the server does not answer. */
   drained(): Promise<void> {
-    return this.when(() => this.phase === "offline" || this.items.every((item) => item.problem !== null));
+    return this.when(() => this.phase === "offline" || this.sendable().length === 0);
   }
 
   private when(done: () => boolean): Promise<void> {
@@ -243,10 +243,17 @@ export class Outbox {
     this.setPhase("idle", null);
   }
 
-  /** The first event whose chain has no stuck event. */
-  private next(): OutboxItem | null {
+  /**
+   * The events that do not wait for the user. A refused answer holds back later answers of its chain, and no other
+   * event: a task is skipped, postponed or taken back whether its answer was taken or not.
+   */
+  private sendable(): OutboxItem[] {
     const blocked = new Set(this.items.filter((item) => item.problem !== null).map((item) => item.chain));
-    return this.items.find((item) => !blocked.has(item.chain)) ?? null;
+    return this.items.filter((item) => item.problem === null && !(blocked.has(item.chain) && hasAnswer(item)));
+  }
+
+  private next(): OutboxItem | null {
+    return this.sendable()[0] ?? null;
   }
 
   private async sendNext(): Promise<boolean> {

@@ -232,6 +232,22 @@ test("what cannot be taken stays, and does not hold up other tasks", async () =>
   assert.equal(server.log.length, 2);
 });
 
+test("a refused answer holds back no skip, and the page opens with it", async () => {
+  const { server, store, box } = await bench();
+  server.faults.push(problem(422, "invalid"));
+  await box.add(1, "tab-1", event("submit", "one mask too few"));
+  await box.flush();
+  assert.equal(box.status.stuck, 1);
+  await box.add(1, "tab-1", newEvent("skip", { lease_epoch: 1, base_rev: 0, answer: null }));
+  await box.settled(1);
+  assert.deepEqual(server.log.map(({ event }) => event.kind), ["skip"]);
+  assert.equal(box.status.stuck, 1, "the text stays in the box");
+  // A page that opens later does not wait for the refused answer.
+  const later = await bench({ server, store });
+  await later.box.drained();
+  assert.equal(later.box.status.stuck, 1);
+});
+
 test("a refused undo leaves nothing behind", async () => {
   const { server, box, outcomes } = await bench();
   server.faults.push(problem(409, "wrong_state"));

@@ -21,9 +21,8 @@ pub(super) fn guide(cx: &Context) -> Result<Response, Error> {
 pub(super) fn put_guide(cx: &Context) -> Result<Response, Error> {
     let kind = TaskKind::parse(cx.param("kind")).ok_or_else(|| Error::not_found("kind of task"))?;
     let guide: KindGuide = cx.body()?;
-    let mut settings = cx.store().settings()?;
-    settings.guides.insert(kind, guide.clone());
-    cx.store().put_settings(cx.user()?, settings, cx.now)?;
+    cx.store()
+        .put_guide(cx.user()?, kind, guide.clone(), cx.now)?;
     json(&guide)
 }
 
