@@ -111,6 +111,11 @@ pub(crate) fn items(
     global: &Global,
 ) -> anyhow::Result<Dataset> {
     let drawn = global.stage(|context| stage::items(dataset, out, split, config, seed, context))?;
+    if let Some(count) = drawn.too_short.filter(|count| *count > 0) {
+        report::note(&format!(
+            "{count} masks and pairs of split {split} are shorter than a window and no question"
+        ));
+    }
     if let Some(count) = drawn.fewer {
         report::note(&format!(
             "split {split} of {} gives {count} different items, {} were asked for",

@@ -398,6 +398,8 @@ pub struct ItemsFolder {
     pub dataset: Dataset,
     /// Number of items drawn, if it is less than requested.
     pub fewer: Option<usize>,
+    /// Number of masks and pairs that are shorter than a window, and are no question; not known for items that were there.
+    pub too_short: Option<usize>,
 }
 
 /// Draws test questions from a split and commits them as a dataset of their own.
@@ -431,6 +433,7 @@ pub fn items(
             return Ok(ItemsFolder {
                 dataset: Dataset::open(out)?,
                 fewer: None,
+                too_short: None,
             });
         }
         work::refuse_items(&held)?;
@@ -461,5 +464,9 @@ pub fn items(
         Ok(files?.concat())
     })?;
     progress.finish(&format!("{} items", drawn.len()));
-    Ok(ItemsFolder { dataset, fewer })
+    Ok(ItemsFolder {
+        dataset,
+        fewer,
+        too_short: Some(drawn.num_short),
+    })
 }

@@ -205,6 +205,12 @@ fn table(counted: &Counted) -> String {
             stream.distinct_pairs[kind]
         ));
     }
+    if stream.too_short > 0 {
+        lines.push(format!(
+            "  {} masks and pairs are shorter than a window and not used",
+            stream.too_short
+        ));
+    }
     lines.push(format!("in {} triplets:", recorded.triplets));
     for (name, [before, after]) in [
         ("mean speed m/s", recorded.mean_speed),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use datasets_spec::Split;
 use datasets_spec::record::{
     EditRow, MaskRow, MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow,
 };
@@ -11,8 +12,8 @@ use datasets_spec::table::Row;
 use serde_json::Value;
 
 use crate::util::{
-    Folder, arg, assert_has, commit, dataset_of, files_with_extension, json_of, number_of, rows_of,
-    stem_of, typed,
+    Folder, arg, assert_has, commit, dataset_of, files_with_extension, json_of, motions_of,
+    number_of, rows_of, stem_of, typed,
 };
 
 /// One take of 26 actions in six styles.
@@ -158,6 +159,27 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     record("windows", "");
     assert_eq!(hash("windows"), before);
     folder.run(&again);
+    // Masks and pairs that are shorter than a window are counted wherever they are left out. A window of 60 frames at 10
+    // per second spans 119 stored ones.
+    let motions = motions_of(&folder.path("dataset"));
+    let masks: Vec<MaskRow> = folder.rows("dataset");
+    let masks = masks.iter().filter(|mask| mask.split == Split::Train);
+    let short = masks.filter(|mask| motions[mask.motion_id.as_str()].n_frames < 119);
+    let short = short.count();
+    assert!(short > 0);
+    folder.put("long.toml", "window = 60\n");
+    let stats: Value = folder.json("triplets stats @dataset --compose @long.toml");
+    assert_eq!(stats["too_short"], short, "{stats}");
+    let items = "items @dataset --split train --count 4 --compose @long.toml --out @few";
+    folder
+        .typed(items)
+        .expect_code(0)
+        .expect_said(&format!("{short} masks and pairs of split train"));
+    folder.put("train.toml", "batch_size = 16\nwindow = 60\n");
+    let done: Value = folder.json(&format!("{train} --out @long"));
+    assert_eq!(done["left_out"], short, "{done}");
+    folder.put("train.toml", "batch_size = 16\n");
+
     // Windows with masks that the dataset has no more are refused.
     let masks: Vec<MaskRow> = folder.rows("dataset");
     commit(

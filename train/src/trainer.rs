@@ -54,7 +54,8 @@ pub struct TrainReport {
     pub samples_per_sec: f64,
     /// Share of the training time in this session that was spent waiting for data.
     pub data_wait_share: f64,
-    /// Number of training clips, and of captions of a part of one, that are too short for the model and were not used.
+    /// Number of training clips, of captions of a part of one, and of masks and pairs, that are too short for the model and
+    /// were not used.
     pub left_out: u64,
 }
 
@@ -83,7 +84,7 @@ impl TrainReport {
             100.0 * self.data_wait_share,
             match self.left_out {
                 0 => String::new(),
-                count => format!(", {count} captioned clips too short and not used"),
+                count => format!(", {count} clips, masks or pairs too short and not used"),
             },
             run.display()
         )

@@ -140,6 +140,18 @@ pub fn draw_items<'a>(
     let stride = compose.stride(library.fps())?;
     let span = compose.span(stride);
     let subjects = subjects_of(&library, config, span, seed)?;
+    let num_short = {
+        let is_wanted = |subject: &Subject| {
+            let task = library.task_of(*subject);
+            !library.is_asked_as_is(*subject)
+                && (config.tasks.is_empty() || config.tasks.contains(&task))
+                && config.compose.kinds.contains(&library.kind_of(*subject))
+        };
+        let wanted = library.all_subjects().filter(is_wanted);
+        wanted
+            .filter(|subject| library.frames_of(*subject) < span)
+            .count()
+    };
     let drawer = Drawer {
         base: library.base(&compose, seed, span)?,
         library,
@@ -176,6 +188,7 @@ pub fn draw_items<'a>(
         drawer,
         questions,
         num_drawn,
+        num_short,
     })
 }
 
@@ -223,6 +236,8 @@ pub struct DrawnItems<'a> {
     questions: Vec<Question>,
     /// Number of items that were drawn, of which [`ItemConfig::part`] are kept.
     pub num_drawn: usize,
+    /// Number of masks and pairs of the wanted tasks and kinds that are shorter than a window, and are no question.
+    pub num_short: usize,
 }
 
 impl DrawnItems<'_> {

@@ -21,6 +21,8 @@ pub struct StreamStats {
     pub base: usize,
     /// Masks and pairs in use, by kind of edit.
     pub annotated: BTreeMap<&'static str, usize>,
+    /// Masks and pairs that are shorter than a window, and are not used.
+    pub too_short: usize,
     /// Windows of an epoch.
     pub windows: u64,
     /// Different pairs of an original and an edited motion, before crops and weights are drawn: for
@@ -72,6 +74,7 @@ impl Stream {
             split: self.library.split(),
             base: self.base.len(),
             annotated,
+            too_short: self.num_short(),
             windows: self.epoch_len(),
             distinct_pairs,
             instructions: self.instructions().len(),

@@ -45,7 +45,9 @@ pub fn train_coordinator<'a>(
         dataset_hash: &dataset.content_hash(&COMPOSED),
         compose: &streams.compose,
     };
-    coordinator::train_coordinator(start, config, segments, session)
+    let num_short = streams.train.num_short() as u64;
+    let report = coordinator::train_coordinator(start, config, segments, session)?;
+    Ok(report.without(num_short))
 }
 
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {

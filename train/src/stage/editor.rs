@@ -92,7 +92,8 @@ pub fn train_editor<'a>(
         dataset_hash: &data_hash(dataset, windows),
         compose: &streams.compose,
     };
-    train_motionrefit(start, config, corpus, session)
+    let num_short = streams.train.num_short() as u64;
+    Ok(train_motionrefit(start, config, corpus, session)?.without(num_short))
 }
 
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {

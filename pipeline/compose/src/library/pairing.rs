@@ -84,6 +84,14 @@ impl Library {
             .collect()
     }
 
+    /// Number of masks and pairs of the wanted kinds that are shorter than a window, and are not used.
+    pub(crate) fn num_short(&self, config: &ComposeConfig, span: usize) -> usize {
+        self.all_subjects()
+            .filter(|subject| config.kinds.contains(&self.kind_of(*subject)))
+            .filter(|subject| self.frames_of(*subject) < span)
+            .count()
+    }
+
     fn edit(&self, subject: Subject) -> &Edit {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation],

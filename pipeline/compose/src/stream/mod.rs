@@ -86,6 +86,7 @@ pub struct Stream {
     /// Index of the first item of each target.
     first_items: Vec<u64>,
     num_items: u64,
+    num_short: usize,
     pub(super) span: usize,
     advance: usize,
 }
@@ -148,6 +149,7 @@ impl Stream {
         }
 
         Ok(Self {
+            num_short: library.num_short(&config, span),
             composer: Composer::new(library.skeleton(), config.anchor, normalizer),
             recipe_hash: config.recipe_hash(),
             library,
@@ -181,6 +183,11 @@ impl Stream {
     /// Annotated motions and pairs in use: the [`Stream::clip`]s of an epoch.
     pub fn num_clips(&self) -> u64 {
         self.targets.len() as u64
+    }
+
+    /// Number of annotated motions and pairs that are shorter than a window, and are not used.
+    pub fn num_short(&self) -> usize {
+        self.num_short
     }
 
     pub(super) fn subjects_in_use(&self) -> impl Iterator<Item = Subject> + '_ {
