@@ -66,7 +66,7 @@ struct Prune {
     /// Dataset folder
     dataset: PathBuf,
     /// Number of newest versions to keep
-    #[arg(long, default_value = "1")]
+    #[arg(long)]
     keep: NonZeroUsize,
     /// Only print what would be removed
     #[arg(long)]
@@ -129,9 +129,18 @@ fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
     datasets_spec::Dataset::open_unverified(&args.dataset)?;
     let transaction = Transaction::begin(&args.dataset, &global.holder())?;
     let done = transaction.prune(args.keep.get(), args.dry_run)?;
-    let removed = if args.dry_run { "to remove" } else { "removed" };
+    let removed = match args.dry_run {
+        true => "to remove; nothing was changed",
+        false => "removed",
+    };
     let (versions, files) = (done.versions.len(), done.files);
     let megabytes = done.bytes as f64 / 1e6;
-    let text = format!("{versions} versions and {files} files {removed}, {megabytes:.1} MB\n");
+    let numbers: Vec<String> = done.versions.iter().map(ToString::to_string).collect();
+    let named = match versions {
+        0 => String::new(),
+        _ => format!(" ({})", numbers.join(", ")),
+    };
+    let text =
+        format!("{versions} versions{named} and {files} files, {megabytes:.1} MB, {removed}\n");
     global.say_joined(json!({ "dry_run": args.dry_run }), &done, &text)
 }

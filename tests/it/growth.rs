@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use datasets_spec::record::MotionRow;
+use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::{Value, json};
 
@@ -14,8 +14,8 @@ use crate::grown::{
     refused, verified,
 };
 use crate::util::{
-    arg, assert_has, assert_tells, corpus, files_with_extension, len_of, put, root_hash_of, stance,
-    typed,
+    arg, assert_has, assert_tells, corpus, files_with_extension, len_of, put, root_hash_of,
+    rows_of, stance, typed,
 };
 
 #[test]
@@ -194,6 +194,30 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
     // The previous version keeps the labels.
     let versions = fs::read_dir(dataset.join("meta")).expect("listed").count();
     assert!(versions > 3);
+}
+
+#[test]
+fn automatic_labels_of_clips_that_change_are_counted() {
+    let (_dir, source, more, dataset) = begun_with_half(12);
+    for stage in ["masks", "pairs"] {
+        typed("{} {}", &[&stage, &dataset]).expect_code(0);
+    }
+    let all: Vec<MaskRow> = rows_of(&dataset);
+    let row = motions(&dataset)
+        .into_iter()
+        .find(|row| row.id == all[0].motion_id);
+    let row = row.expect("its clip");
+    let file = source.join(&row.source_path);
+    let end = file.extension().expect("one").to_string_lossy();
+    fs::copy(&files_with_extension(&more, &end)[0], &file).expect("copied");
+    let of_clip = all.iter().filter(|mask| mask.motion_id == row.id).count();
+    let told: Value = ran(&[&source], &dataset, &["--dry-run"]).done();
+    let done = ingest(&[&source], &dataset, &[], 0);
+    for removed in [&told["removed"], &done["growth"]["removed"]] {
+        assert_eq!(removed["masks"], of_clip, "{told} {done}");
+    }
+    let left: Vec<MaskRow> = rows_of(&dataset);
+    assert_eq!(left.len(), all.len() - of_clip);
 }
 
 #[test]

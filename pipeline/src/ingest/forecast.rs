@@ -28,6 +28,8 @@ pub struct Forecast {
     pub settings: Option<String>,
     /// Masks and pairs that would be lost, with the clip and what happens to it.
     pub lost: Vec<LostLabel>,
+    /// Automatic masks and pairs that would be removed, by table. Their stages make them again.
+    pub removed: BTreeMap<String, u64>,
     /// Lines of the list of splits that would give no clip a split.
     pub refused_splits: Vec<RefusedLine>,
     /// Remarks on sources and splits.
@@ -100,6 +102,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
         sources: plan.forecast(recorded, &fates),
         settings: prepared.differing,
         lost: lost.lost,
+        removed: lost.removed,
         refused_splits: plan.notes.refused_splits.clone(),
         remarks: plan
             .all_remarks()

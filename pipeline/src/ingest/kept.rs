@@ -25,6 +25,8 @@ pub(super) struct Labels {
     pub(super) masks: Vec<MaskRow>,
     pub(super) pairs: Vec<PairRow>,
     pub(super) lost: Vec<LostLabel>,
+    /// Automatic labels of clips that changed or went, by table. Their stages make them again.
+    pub(super) removed: BTreeMap<String, u64>,
 }
 
 impl Growth {
@@ -38,6 +40,13 @@ impl Growth {
             .map(|(table, count)| (table.to_owned(), count as u64))
             .collect();
         self.lost.clone_from(&labels.lost);
+        self.removed.clone_from(&labels.removed);
+    }
+}
+
+impl Labels {
+    fn remove(&mut self, table: &str) {
+        *self.removed.entry(table.to_owned()).or_default() += 1;
     }
 }
 
@@ -52,7 +61,8 @@ impl Fates<'_> {
             match self.is_read_again(&mask.motion_id) {
                 Ok(true) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
-                Err(_) if !is_mask_of_people(&mask) => {}
+                Err(_) if is_mask_of_source(&mask) => {}
+                Err(_) if !is_mask_of_people(&mask) => labels.remove(MaskRow::TABLE),
                 Err(lost) => labels.lose(MaskRow::TABLE, &mask.id, lost),
             }
         }
@@ -62,7 +72,8 @@ impl Fates<'_> {
             match source.and_then(|_| self.is_read_again(target)) {
                 Ok(true) if is_pair_of_source(&pair) => {}
                 Ok(_) => labels.pairs.push(pair),
-                Err(_) if !is_pair_of_people(&pair) => {}
+                Err(_) if is_pair_of_source(&pair) => {}
+                Err(_) if !is_pair_of_people(&pair) => labels.remove(PairRow::TABLE),
                 Err(lost) => labels.lose(PairRow::TABLE, &pair.id, lost),
             }
         }

@@ -1,5 +1,7 @@
 //! Messages before and after an ingestion.
 
+use std::collections::BTreeMap;
+
 use clip::LabelProblem;
 use pipeline::annotation::pairs::RefusedLine;
 use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
@@ -36,6 +38,7 @@ pub(super) fn foreseen(told: &Forecast) -> String {
     if let Some(settings) = &told.settings {
         text += &format!("settings differ: {settings}\n");
     }
+    text += &removed(&told.removed);
     for lost in &told.lost {
         text += &format!(
             "would be lost: {} of {} ({})\n",
@@ -187,6 +190,7 @@ fn grown(growth: &Growth) -> String {
     for (table, count) in &growth.labels {
         text += &format!("{count} {table} stay\n");
     }
+    text += &removed(&growth.removed);
     for lost in &growth.lost {
         text += &format!("lost: {} of {} ({})\n", lost.id, lost.table, lost.reason);
     }
@@ -197,6 +201,16 @@ fn grown(growth: &Growth) -> String {
         );
     }
     text
+}
+
+/// Automatic labels that go with their clips; an empty text for none.
+fn removed(labels: &BTreeMap<String, u64>) -> String {
+    let lines = labels.iter().map(|(table, count)| {
+        format!(
+            "{count} automatic {table} of changed clips go; `stance {table}` makes them again\n"
+        )
+    });
+    lines.collect()
 }
 
 /// A number of clips; an empty text for none.
