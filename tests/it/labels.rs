@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::archives::files_below;
 use crate::util::{
     Ran, arg, assert_has, corpus, exported, files_with_extension, ingested, json_of, list_of,
-    motions_of, put, rows_of, stance, text_of, texts_in, typed, typed_with,
+    motions_of, put, rows_of, skipped_of, stance, text_of, texts_in, typed, typed_with,
 };
 
 /// BVH files of the corpus, without labels, and a folder `in` that a test fills with motions and labels.
@@ -441,4 +441,51 @@ fn lines_that_contradict_each_other_are_reported() {
     );
     assert_eq!(rows["walk"].subject.as_deref(), Some("anna"));
     assert_eq!(texts(&rows["walk"]), ["he walks", "he strides", "he goes"]);
+}
+
+#[test]
+fn files_beside_a_motion_are_read_by_their_names_and_nothing_waits_for_a_pipe() {
+    let sources = Sources::new();
+    sources.motions("a b c d e");
+    // A list has no names of fields.
+    sources.write("a.stance.json", r#"["a person waves"]"#);
+    sources.write("b.txt", "a person walks\n");
+    sources.write("gone.stance.json", "{}");
+    sources.write("gone.txt", "of nothing\n");
+    // Another file has this id by its path.
+    sources.write("c.stance.json", r#"{ "id": "d" }"#);
+    for name in ["captions.csv", "e.stance.json"] {
+        let made = std::process::Command::new("mkfifo")
+            .arg(sources.path("in").join(name))
+            .status();
+        assert!(made.expect("mkfifo starts").success());
+    }
+    let (document, rows) = sources.ingest("out", &[]);
+    let ids: Vec<&String> = rows.keys().collect();
+    assert_eq!(ids, ["a", "b", "c", "d", "e"]);
+    assert_eq!(texts(&rows["b"]), ["a person walks"]);
+    let problems = problems(&document).join("\n");
+    assert_has(
+        &problems,
+        &["a.stance.json", "c.bvh", "another clip has it"],
+    );
+    let skipped = skipped_of(&sources.path("out"));
+    for (file, reason) in [
+        ("b.txt", "captions, read with the motion they describe"),
+        ("gone.txt", "txt text, no motion"),
+        (
+            "c.stance.json",
+            "sidecar, read with the motion it describes",
+        ),
+        ("gone.stance.json", "sidecar without a motion"),
+        ("e.stance.json", "pipe"),
+    ] {
+        assert!(skipped[file].contains(reason), "{file}: {skipped:?}");
+    }
+    // An id that is stated later does not rename a clip.
+    sources.write("b.stance.json", r#"{ "id": "walk" }"#);
+    let (document, rows) = sources.ingest("out", &[]);
+    assert!(rows.contains_key("b"));
+    let said = document["label_problems"].to_string();
+    assert_has(&said, &["the dataset has the clip as b"]);
 }

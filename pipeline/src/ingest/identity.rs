@@ -473,14 +473,21 @@ fn name_of(id: &str) -> &str {
 /// Gives new motions the ids that their sidecars state, and returns the sidecars whose ids cannot be used.
 fn take_named_ids(items: &mut [Planned], taken: &mut BTreeSet<String>) -> Vec<LabelProblem> {
     let mut motions: BTreeMap<String, usize> = BTreeMap::new();
+    // Ids of motions without such a sidecar, which their paths give.
+    let mut of_paths: BTreeSet<String> = BTreeSet::new();
     for item in items.iter() {
-        *motions.entry(item.entry.file.clone()).or_default() += 1;
+        let file = &item.entry.file;
+        *motions.entry(file.clone()).or_default() += 1;
+        if item.release.is_none() && item.named.is_none() {
+            of_paths.insert(escaped(without_extension(file)));
+        }
     }
-    let new = items.iter_mut().filter(|item| item.known.is_none());
-    let problems = new.filter_map(|item| {
+    let problems = items.iter_mut().filter_map(|item| {
         let id = item.named.clone()?;
         let why = match motions[&item.entry.file] {
-            1 if taken.insert(id.clone()) => {
+            _ if item.known.is_some() && item.id == id => return None,
+            _ if item.known.is_some() => format!("the dataset has the clip as {}", item.id),
+            1 if !of_paths.contains(&id) && taken.insert(id.clone()) => {
                 item.id.clone_from(&id);
                 item.entry.id = id;
                 return None;

@@ -199,6 +199,7 @@ impl Plan {
         };
         plan.claimed = plan.take_releases(options);
         plan.take_single_files(options);
+        plan.name_companions();
         for source in plan.sources.values_mut() {
             // The first bytes are not needed any more.
             source.head = Vec::new();
@@ -344,6 +345,26 @@ impl Plan {
                     self.rejected.push(self.rejected_row(relative, "", why));
                     self.notes.left_out.push(whole(relative));
                 }
+            }
+        }
+    }
+
+    /// Says of skipped captions and sidecars whether they lie beside a motion that they describe.
+    fn name_companions(&mut self) {
+        let files = self.items.iter().map(|item| item.entry.file.as_str());
+        let files = files.chain(self.rejected.iter().map(|row| row.path.as_str()));
+        let stems: BTreeSet<&str> = files.map(without_extension).collect();
+        for row in &mut self.skipped {
+            if let Some(stem) = row.path.strip_suffix(Sidecar::SUFFIX)
+                && row.reason.starts_with("sidecar")
+                && !stems.contains(stem)
+            {
+                row.reason = "sidecar without a motion".to_owned();
+            } else if let Some(stem) = row.path.strip_suffix(".txt")
+                && row.reason.starts_with("txt text")
+                && stems.contains(stem)
+            {
+                row.reason = "captions, read with the motion they describe".to_owned();
             }
         }
     }

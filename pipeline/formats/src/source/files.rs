@@ -135,10 +135,12 @@ impl Files {
         self.with(relative, |path| self.store.open_at(path).map(Reader::new))
     }
 
-    /// Whether there can be a file at a path. At a URL, where every check costs a request, the folder is listed once.
+    /// Whether there can be a file at a path. At a URL, where every check costs a request, the folder is listed once. On a
+    /// disk, nothing waits for what may come through a pipe.
     fn may_be_there(&self, path: &Path) -> bool {
         let Some(folder) = path.parent().filter(|_| is_url(path)) else {
-            return true;
+            let found = std::fs::metadata(path);
+            return found.map_or(true, |found| found.is_file() || found.is_dir());
         };
         let mut folders = self.folders.lock().unwrap_or_else(PoisonError::into_inner);
         let listed = folders.entry(folder.to_owned()).or_insert_with(|| {

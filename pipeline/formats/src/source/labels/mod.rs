@@ -171,7 +171,11 @@ fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProbl
     let parsed = refuse_pointer(&bytes).map_err(|rejected| rejected.reason);
     let parsed = parsed.and_then(|()| {
         let json = bytes.strip_prefix(UTF8_BOM).unwrap_or(&bytes);
-        serde_json::from_slice::<Sidecar>(json).map_err(|error| error.to_string())
+        // The fields have names; serde would also read them from a list, by their places.
+        let object = serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(json);
+        object
+            .and_then(|fields| serde_json::from_value::<Sidecar>(fields.into()))
+            .map_err(|error| error.to_string())
     });
     let sidecar = match parsed {
         Ok(mut sidecar) => {
