@@ -113,8 +113,9 @@ pub(crate) fn flush() -> anyhow::Result<()> {
     }
 }
 
+/// Prints a line to stderr. Where nobody reads it any more, as behind `2>&1 | head`, the work goes on.
 pub(crate) fn note(text: &str) {
-    eprintln!("{}", printable(text));
+    let _unread = writeln!(io::stderr(), "{}", printable(text));
 }
 
 /// Prints an error with all its causes in one line.

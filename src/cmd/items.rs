@@ -1,7 +1,7 @@
 //! `stance items`
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
@@ -112,8 +112,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let drawn = stages::items(&opened, out, args.split, &config, seed, global);
     let drawn = drawn.with_context(|| match args.set {
         Some(_) => format!(
-            "{BUILTIN_1} is drawn from the dataset that these commands make: {}",
-            test_set::commands(dataset)
+            "{BUILTIN_1} is drawn from a dataset of its own, which these commands make in new folders: {}",
+            test_set::commands(Path::new("builtin"))
         ),
         None => "cannot draw items".to_owned(),
     })?;

@@ -8,7 +8,7 @@ use datasets_spec::dataset::{Commit, Transaction};
 use datasets_spec::manifest::{REJECTED_MASKS_FACT, add_rejected};
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::rejected::{MaskPlace, RejectedMask};
-use datasets_spec::table::Row;
+use datasets_spec::table::{Caption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::stage::{self, Judged};
@@ -166,6 +166,20 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
     Ok(made)
 }
 
+/// The number of clips without a caption and an action; without such words no mask is derived.
+fn num_wordless(dataset: &Dataset) -> anyhow::Result<usize> {
+    let mut count = 0;
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let captions: Vec<Vec<Caption>> = read_column::<MotionRow, _>(&path, "captions")?;
+        let actions: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "action")?;
+        let clips = captions.iter().zip(&actions);
+        count += clips
+            .filter(|(captions, action)| captions.is_empty() && action.is_none())
+            .count();
+    }
+    Ok(count)
+}
+
 fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
     let mut origins: BTreeMap<String, u64> = BTreeMap::new();
     let mut parts: BTreeMap<String, u64> = BTreeMap::new();
@@ -175,6 +189,13 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
     }
     let masks = dataset.manifest().rows(MaskRow::TABLE, None);
     let mut text = format!("{masks} masks\n");
+    let wordless = num_wordless(dataset)?;
+    if wordless > 0 {
+        text += &format!(
+            "{wordless} clips have neither a caption nor an action, of which masks are derived; state them in STEM.txt, captions.csv \
+             or stance.toml\n"
+        );
+    }
     for (title, counts) in [("text", &origins), ("part", &parts)] {
         for (label, count) in counts {
             text += &format!("  {title} {label:<20} {count:>6}\n");
@@ -189,6 +210,7 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
     }
     let document = serde_json::json!({
         "masks": masks,
+        "clips_without_words": wordless,
         "rejected": { "masks": single, "clips": clips },
         "origins": origins,
         "parts": parts,

@@ -28,7 +28,7 @@ fn again(dir: &Path, layout: &str, fps: &str) -> BTreeMap<String, MotionRow> {
 }
 
 /// Largest distance in metres between joints of two motions, with equal heights of the pelvis in the first frame.
-fn apart(a: &Motion, b: &Motion) -> f64 {
+pub(crate) fn apart(a: &Motion, b: &Motion) -> f64 {
     let skeleton = Skeleton::smplx_neutral();
     assert_eq!((a.len(), a.fps()), (b.len(), b.fps()));
     let (a, b) = (skeleton.motion_keypoints(a), skeleton.motion_keypoints(b));

@@ -494,3 +494,39 @@ fn the_up_axis_can_be_named_and_is_doubted_where_nobody_stands() {
     ran.expect_code(2)
         .expect_said("expected x, y, z, -x, -y or -z");
 }
+
+#[test]
+fn a_skeleton_without_known_names_gives_the_same_motion() {
+    let Some(data) = util::real_data("a_skeleton_without_known_names_gives_the_same_motion") else {
+        return;
+    };
+    let (dir, source) = place();
+    // Rigs with bones between pelvis and hips, which lie in the pelvis.
+    let names = ["cmu_12_01_walk", "pfnn_hierarchy", "npybvh_example"];
+    for name in names {
+        let text = util::text_of(data.join(format!("bvh/other/{name}.bvh")));
+        put(&source, &format!("named/{name}.bvh"), &text);
+        let mut number = 0;
+        let renamed = text.lines().map(|line| {
+            let Some((indent, kind)) = ["ROOT", "JOINT"].iter().find_map(|kind| {
+                let (indent, _) = line.split_once(&format!("{kind} "))?;
+                indent.trim().is_empty().then_some((indent, kind))
+            }) else {
+                return line.to_owned();
+            };
+            number += 1;
+            format!("{indent}{kind} j{number}")
+        });
+        let renamed: Vec<String> = renamed.collect();
+        put(&source, &format!("unnamed/{name}.bvh"), renamed.join("\n"));
+    }
+    let out = dir.path().join("dataset");
+    util::ingested(&source, &out, &[]);
+    let rows = motions_of(&out);
+    for name in names {
+        let of = |folder: &str| rows[&format!("{folder}/{name}")].motion().expect("valid");
+        let away = crate::export::apart(&of("named"), &of("unnamed"));
+        // Names tell of collars and spines what the topology leaves to the rest pose.
+        assert!(away < 0.1, "{name}: {away}");
+    }
+}

@@ -13,6 +13,9 @@ const MIN_ARM: usize = 3;
 /// Largest ratio of the lengths of the left and the right limb of one body.
 const MAX_ASYMMETRY: f64 = 1.2;
 
+/// A hip lies farther from the pelvis than this share of its leg.
+const HELPER: f64 = 0.02;
+
 /// A run of bones without branches, ending in a branching bone or a leaf.
 type Chain = Vec<usize>;
 
@@ -89,7 +92,17 @@ impl Tree<'_> {
     }
 
     fn body_at(&self, pelvis: usize) -> Option<[Option<usize>; NUM_BODY_JOINTS]> {
-        let legs = self.symmetric_pair(pelvis, MIN_LEG)?;
+        let mut legs = self.symmetric_pair(pelvis, MIN_LEG)?;
+        // Some rigs have a bone between pelvis and hip that lies in the pelvis.
+        let is_helper = |leg: &Chain| {
+            let way = self.position(leg[0]).distance(self.position(pelvis));
+            leg.len() > MIN_LEG && way < HELPER * self.length(leg)
+        };
+        while legs.iter().all(is_helper) {
+            for leg in &mut legs {
+                leg.remove(0);
+            }
+        }
         let middle = |pair: &[Chain; 2], at: usize| {
             self.position(pair[0][at])
                 .midpoint(self.position(pair[1][at]))
@@ -97,7 +110,10 @@ impl Tree<'_> {
         let up = (middle(&legs, 0) - middle(&legs, 2)).try_normalize()?;
         let (spine, arms, top) = self.children[pelvis]
             .iter()
-            .filter(|child| legs.iter().all(|leg| leg[0] != **child))
+            .filter(|child| {
+                legs.iter()
+                    .all(|leg| !self.chain(**child).contains(&leg[0]))
+            })
             .find_map(|&child| self.trunk(child, up))?;
         // Without toes, front and back, and so left and right, are ambiguous.
         let toes = |leg: &Chain| Some(self.position(*leg.get(3)?) - self.position(leg[2]));

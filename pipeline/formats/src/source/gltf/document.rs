@@ -15,10 +15,25 @@ pub(super) struct Document<'a> {
     file_len: usize,
 }
 
+/// The JSON without the channels that name no node, such as those of `KHR_animation_pointer`; `None` if it is no glTF. The
+/// specification allows such channels, and has readers ignore them.
+fn with_targets(text: &[u8]) -> Option<Vec<u8>> {
+    let mut root: serde_json::Value = serde_json::from_slice(text).ok()?;
+    for animation in root.get_mut("animations")?.as_array_mut()? {
+        let channels = animation.get_mut("channels")?.as_array_mut()?;
+        channels.retain(|channel| channel["target"]["node"].is_u64());
+    }
+    serde_json::to_vec(&root).ok()
+}
+
 impl<'a> Document<'a> {
     pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, Rejected> {
         let (text, binary) = chunks(bytes)?;
         let root = json::Root::from_slice(text)
+            .or_else(|error| match with_targets(text) {
+                Some(text) => json::Root::from_slice(&text),
+                None => Err(error),
+            })
             .map_err(|error| rejected!("E-GLTF-SYNTAX", "the JSON is no glTF: {error}"))?;
         let buffers = root
             .buffers

@@ -1,6 +1,6 @@
 //! The glTF reader: animations of a skinned skeleton, sampled at a fixed rate.
 //!
-//! Only what moves bones is read: nodes, one skin, one animation and their buffers. Every index, offset and length in
+//! Only what moves bones is read: nodes, the skins of one body, one animation and their buffers. Every index, offset and length in
 //! the file is checked before it is used. Meshes, materials and extensions are ignored.
 
 mod container;
@@ -16,7 +16,7 @@ use container::MAGIC;
 use document::Document;
 use nodes::Tree;
 use performance::Performance;
-use skeleton::Skeleton;
+use skeleton::{Skeleton, skins_of_body};
 
 use super::format::Format;
 use super::options::ReadOptions;
@@ -46,11 +46,9 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     if document.root.animations.is_empty() {
         return no_motion("no animation in the file");
     }
-    // The first of the skins with the most joints: smaller ones are clothes and props.
-    let skins = document.root.skins.iter().rev();
-    let Some(skin) = skins.max_by_key(|skin| skin.joints.len()) else {
+    if document.root.skins.is_empty() {
         return no_motion("no skin in the file: its animations move objects, not a body");
-    };
+    }
     let names = document.keys();
     let index = if key.is_empty() {
         0
@@ -63,18 +61,19 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
             )
         })?
     };
-    let skeleton = Skeleton::read(&document, &tree, skin)?;
     let animation = &document.root.animations[index];
+    let skins = skins_of_body(&document, &tree, animation);
+    let skeleton = Skeleton::read(&document, &tree, &skins)?;
     let Some(performance) = Performance::of(&skeleton, &document, animation)? else {
         return no_motion("the animation moves no joint of the skin");
     };
     let mut clip = retarget::clip(&performance, options)?;
     clip.notes.push(format!("animation {}", names[index]));
     let num_skins = document.root.skins.len();
-    if num_skins > 1 {
+    if num_skins > skins.len() {
         clip.notes.push(format!(
-            "the file has {num_skins} skins; only the one with the most joints ({}) was read",
-            skin.joints.len()
+            "the file has {num_skins} skins; {} of the body that the animation moves were read",
+            skins.len()
         ));
     }
     if !performance.on_keys {

@@ -1,6 +1,6 @@
 //! The skeleton of a skin: its joints, the nodes above them, and the bind pose.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use gltf::json;
@@ -14,7 +14,52 @@ use clip::{Rejected, rejected};
 /// Limit on bones: joints of the skin and the nodes above them.
 const MAX_BONES: usize = 4096;
 
-/// The joints of a skin and the nodes above them.
+/// The skins of the body that an animation moves: of the skins that it moves, or of all if it moves none, the first with
+/// the most joints, and those whose joints lie above or below its own, as where gloves or trousers have a skin.
+pub(super) fn skins_of_body<'a>(
+    document: &'a Document,
+    tree: &Tree,
+    animation: &json::Animation,
+) -> Vec<&'a json::Skin> {
+    let moved: BTreeSet<usize> = animation
+        .channels
+        .iter()
+        .map(|channel| channel.target.node.value())
+        .collect();
+    let joints = |skin: &json::Skin| -> BTreeSet<usize> {
+        skin.joints.iter().map(json::Index::value).collect()
+    };
+    let skins = document.root.skins.iter().rev();
+    let main = skins.max_by_key(|skin| (!joints(skin).is_disjoint(&moved), skin.joints.len()));
+    let mut body: Vec<&json::Skin> = main.into_iter().collect();
+    let above = |node: usize| {
+        let parent = |node: &usize| tree.parents.get(*node).copied().flatten();
+        std::iter::successors(Some(node), parent)
+    };
+    let is_of_body = |skin: &json::Skin, body: &[&json::Skin]| {
+        let (own, others) = (
+            joints(skin),
+            body.iter()
+                .flat_map(|skin| joints(skin))
+                .collect::<BTreeSet<_>>(),
+        );
+        let lies_below = |below: &BTreeSet<usize>, top: &BTreeSet<usize>| {
+            let mut nodes = below.iter().flat_map(|node| above(*node));
+            nodes.any(|node| top.contains(&node))
+        };
+        lies_below(&own, &others) || lies_below(&others, &own)
+    };
+    loop {
+        let is_new = |skin: &&json::Skin| !body.iter().any(|known| std::ptr::eq(*known, *skin));
+        let mut others = document.root.skins.iter().filter(is_new);
+        match others.find(|skin| is_of_body(skin, &body)) {
+            Some(skin) => body.push(skin),
+            None => return body,
+        }
+    }
+}
+
+/// The joints of skins and the nodes above them.
 pub(super) struct Skeleton {
     pub(super) names: Vec<String>,
     pub(super) parents: Vec<Option<usize>>,
@@ -28,10 +73,11 @@ impl Skeleton {
     pub(super) fn read(
         document: &Document,
         tree: &Tree,
-        skin: &json::Skin,
+        skins: &[&json::Skin],
     ) -> Result<Self, Rejected> {
         let nodes = &document.root.nodes;
-        let joints = skin.joints.iter().map(json::Index::value);
+        let joints = skins.iter().flat_map(|skin| &skin.joints);
+        let joints = joints.map(json::Index::value);
         if let Some(joint) = joints.clone().find(|joint| *joint >= nodes.len()) {
             return Err(rejected!(
                 "E-GLTF-NODES",
@@ -65,14 +111,23 @@ impl Skeleton {
             bone_of_node,
             bind: None,
         };
-        if let Some(matrices) = &skin.inverse_bind_matrices {
-            let matrices: Vec<[f64; 16]> = document.elements(matrices.value(), Type::Mat4)?;
-            skeleton.bind = Some(skeleton.bind_pose(skin, &matrices)?);
+        for skin in skins.iter().rev() {
+            if let Some(matrices) = &skin.inverse_bind_matrices {
+                let matrices: Vec<[f64; 16]> = document.elements(matrices.value(), Type::Mat4)?;
+                let placed = skeleton.bind.take().unwrap_or_else(|| skeleton.standing());
+                skeleton.bind = Some(skeleton.bind_pose(skin, &matrices, placed)?);
+            }
         }
         Ok(skeleton)
     }
 
-    fn bind_pose(&self, skin: &json::Skin, inverse: &[[f64; 16]]) -> Result<Vec<Placed>, Rejected> {
+    /// Places the joints of a skin in its bind pose.
+    fn bind_pose(
+        &self,
+        skin: &json::Skin,
+        inverse: &[[f64; 16]],
+        mut placed: Vec<Placed>,
+    ) -> Result<Vec<Placed>, Rejected> {
         if inverse.len() < skin.joints.len() {
             return Err(accessor_error(format!(
                 "found {} inverse bind matrices, expected {} as the skin has joints",
@@ -80,7 +135,6 @@ impl Skeleton {
                 skin.joints.len()
             )));
         }
-        let mut placed = self.standing();
         for (joint, matrix) in skin.joints.iter().zip(inverse) {
             let matrix = DMat4::from_cols_array(matrix).inverse();
             let Some(&bone) = self.bone_of_node.get(&joint.value()) else {

@@ -211,6 +211,60 @@ fn animations_without_a_name_of_their_own_get_one() {
 }
 
 #[test]
+fn a_body_is_read_whole_whatever_its_skins_are() {
+    let unbound = |json: &mut Value| {
+        let skin = json["skins"][0].as_object_mut().expect("a skin");
+        skin.remove("inverseBindMatrices");
+    };
+    let plain = clip_of(&Parts::walking().with(unbound).embedded());
+    // Elbows and wrists are the joints of gloves.
+    let gloves = |json: &mut Value| {
+        unbound(json);
+        let joints = json["skins"][0]["joints"].as_array_mut().expect("joints");
+        let arms = joints.split_off(18);
+        json["skins"]
+            .as_array_mut()
+            .expect("skins")
+            .push(json!({ "joints": arms }));
+    };
+    let dressed = clip_of(&Parts::walking().with(gloves).embedded());
+    assert_eq!(dressed.motion, plain.motion);
+    assert_eq!(dressed.notes, plain.notes);
+    // A prop of more joints, which the animation does not move.
+    let beside_rope = Parts::walking().with(|json| {
+        gloves(json);
+        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        let first = nodes.len();
+        nodes.extend((0..40).map(|_| json!({ "translation": [0.0, 0.1, 0.0] })));
+        let rope: Vec<usize> = (first..first + 40).collect();
+        json["skins"]
+            .as_array_mut()
+            .expect("skins")
+            .push(json!({ "joints": rope }));
+    });
+    let beside_rope = clip_of(&beside_rope.embedded());
+    assert_eq!(beside_rope.motion, plain.motion);
+    let said = "the file has 3 skins; 2 of the body that the animation moves were read";
+    assert!(
+        beside_rope.notes.contains(&said.to_owned()),
+        "{:?}",
+        beside_rope.notes
+    );
+}
+
+#[test]
+fn channels_without_a_node_are_ignored() {
+    let plain = clip_of(&Parts::walking().embedded());
+    let pointed = Parts::walking().with(|json| {
+        let channels = json["animations"][0]["channels"]
+            .as_array_mut()
+            .expect("channels");
+        channels.push(json!({ "sampler": 0, "target": { "path": "pointer" } }));
+    });
+    assert_eq!(clip_of(&pointed.embedded()), plain);
+}
+
+#[test]
 fn files_without_a_moving_skin_are_passed_over() {
     for (member, words) in [("animations", "no animation"), ("skins", "no skin")] {
         let parts = Parts::walking().with(|json| {

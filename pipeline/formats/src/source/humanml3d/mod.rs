@@ -39,15 +39,14 @@ fn recognise_array(head: &[u8]) -> Result<(), String> {
     };
     match shape[..] {
         [_, HUMANML3D_WIDTH | KIT_WIDTH] | [_, NUM_BODY_JOINTS | KIT_JOINTS, 3] => Ok(()),
+        // Positions of a body with hands or a face, which the reader refuses by their number.
+        [_, 23..=55, 3] => Ok(()),
         [_, 66] => Err(
             "npy array of 66 columns, which may be positions or rotations of 22 joints; save \
              positions as [frames, 22, 3]"
                 .to_owned(),
         ),
-        _ => Err(format!(
-            "npy array of {} dimensions, no motion",
-            shape.len()
-        )),
+        _ => Err(format!("npy array of shape {shape:?}, no motion")),
     }
 }
 

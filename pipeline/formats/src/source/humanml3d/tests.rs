@@ -152,7 +152,13 @@ fn a_lone_array_is_told_by_its_shape() {
         recognise(Path::new("a.npy"), &bytes[..128]) == Recognised::Motion(FORMAT)
     };
     assert!(is_motion(&[9, 263]) && is_motion(&[9, 22, 3]) && is_motion(&[9, 251]));
-    assert!(!is_motion(&[263]) && !is_motion(&[9, 66]) && !is_motion(&[9, 52, 3]));
+    assert!(!is_motion(&[263]) && !is_motion(&[9, 66]) && !is_motion(&[9, 60, 3]));
+    // A body with more joints is refused, not passed over.
+    let hands = npy_f8(&[9, 52, 3], &vec![0.0; 9 * 52 * 3]);
+    assert!(is_motion(&[9, 52, 3]));
+    let skeleton = ReadOptions::default().skeleton;
+    let rejected = read_lone(&hands, &skeleton).expect_err("52 joints");
+    assert_refused(&rejected, "E-HML-SHAPE", "[9, 52, 3]");
     assert_eq!(recognise_array(b"junk"), Ok(()));
 }
 
