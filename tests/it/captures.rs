@@ -539,6 +539,11 @@ fn real_captures_are_all_accounted_for_with_a_reason() {
         let error = row.fit_error_m.expect("solved");
         assert!(error < 0.05, "{}: {error} m", row.id);
     }
+    // A unit that --unit misnames is named, and not the processor.
+    let (wrong, subjects) = (dir.path().join("wrong"), cases.join("two_subjects.c3d"));
+    let line = "--json ingest {} --unit m --out {}";
+    let refused: Value = typed(line, &[&subjects, &wrong]).expect_code(1).json();
+    assert_has(&refused.to_string(), &["E-UNIT"]);
     let quarantine: Vec<QuarantineRow> = rows_of(&out);
     let said = |path: &str| {
         let row = quarantine.iter().find(|row| row.path == path);

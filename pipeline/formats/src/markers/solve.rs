@@ -368,21 +368,28 @@ impl<'a> Solver<'a> {
         Some(())
     }
 
-    /// Updates offsets and scale by least squares, for fixed poses.
+    /// Updates offsets and scale by least squares, for fixed poses. Markers that lie elsewhere than their bodies count little:
+    /// a stray one pulls with the square of its distance.
     fn refit(&mut self, frames: &Frames, chosen: &[usize], bodies: &[Body]) {
         let (mut along, mut spread) = (0.0, 0.0);
         for (body, &frame) in bodies.iter().zip(chosen) {
-            let seen: Vec<(DVec3, DVec3)> = (0..self.worn.joints.len())
+            let seen: Vec<(DVec3, DVec3, f64)> = (0..self.worn.joints.len())
                 .filter_map(|marker| {
-                    Some((self.marker(body, marker), frames.points[frame][marker]?))
+                    let (posed, point) = (self.marker(body, marker), frames.points[frame][marker]?);
+                    let away = (posed - point * self.scale).length();
+                    let weight = (OUTLIER_M / away.max(OUTLIER_M)).powi(2);
+                    Some((posed, point, weight))
                 })
                 .collect();
-            let count = seen.len().max(1) as f64;
-            let body_mean = seen.iter().map(|(posed, _)| *posed).sum::<DVec3>() / count;
-            let capture_mean = seen.iter().map(|(_, point)| *point).sum::<DVec3>() / count;
-            for (posed, point) in seen {
-                along += (posed - body_mean).dot(point - capture_mean);
-                spread += (point - capture_mean).length_squared();
+            let count = seen.iter().map(|(.., weight)| weight).sum::<f64>();
+            let mean = |of: fn(&(DVec3, DVec3, f64)) -> DVec3| {
+                let weighted = seen.iter().map(|one| of(one) * one.2);
+                weighted.sum::<DVec3>() / count.max(f64::MIN_POSITIVE)
+            };
+            let (body_mean, capture_mean) = (mean(|one| one.0), mean(|one| one.1));
+            for (posed, point, weight) in seen {
+                along += weight * (posed - body_mean).dot(point - capture_mean);
+                spread += weight * (point - capture_mean).length_squared();
             }
         }
         if spread > 0.0 && along > 0.0 {

@@ -83,6 +83,24 @@ fn gaps_are_bridged_and_counted() {
 }
 
 #[test]
+fn a_stray_marker_changes_no_other_frame() {
+    let (_, markers) = captured(90, 1.0);
+    let clean = solved(&markers).expect("a body");
+    let count = markers.labels.len();
+    for frames in [44..45, 40..50] {
+        let mut stray = markers.clone();
+        for frame in frames.clone() {
+            stray.positions[frame * count + 30][0] += 5.0;
+        }
+        let found = solved(&stray).expect("a body");
+        for frame in [0, 20, 70, 89] {
+            let away = apart(&found.motion.pose(frame), &clean.motion.pose(frame));
+            assert!(away < 0.01, "{frames:?} {frame}: {away}");
+        }
+    }
+}
+
+#[test]
 fn what_is_no_known_set_or_no_body_says_so() {
     let (_, markers) = captured(20, 1.0);
     let refused = |markers: &Markers| solved(markers).expect_err("no body").to_string();

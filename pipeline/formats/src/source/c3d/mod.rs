@@ -15,7 +15,9 @@ use self::parameters::{BLOCK, Parameters, Processor};
 use super::format::{Format, plausible_fps};
 use super::options::ReadOptions;
 use super::unit::Unit;
-use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, is_model_output};
+use crate::markers::{
+    self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE, is_model_output,
+};
 use clip::{Outcome, Rejected, rejected};
 
 /// Second byte of every C3D file.
@@ -182,7 +184,7 @@ impl Layout {
         bytes: &[u8],
         processor: Processor,
         parameters: &Parameters<'_>,
-        unit: Option<Unit>,
+        by_user: Option<Unit>,
     ) -> Result<Option<Capture>, Rejected> {
         let (labels, kept) = labels_of_markers(parameters, self.points);
         if labels.is_empty() {
@@ -192,7 +194,7 @@ impl Layout {
         let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
         let seen = raw.iter().filter(|point| point.residual >= 0.0);
         let seen = seen.map(|point| point.at);
-        let (unit, note) = CaptureUnit::find(unit, stated.trim(), seen);
+        let (unit, note) = CaptureUnit::find(by_user, stated.trim(), seen);
         self.notes.extend(note);
         let metres = unit.unit.metres();
         let frames = raw.chunks_exact(self.points);
@@ -209,6 +211,15 @@ impl Layout {
             let frames =
                 frames.map(|frame| frame.filter(|point| point.is_seen()).map(|point| point.at));
             let other = || {
+                if by_user.is_some() {
+                    return rejected!(
+                        UNIT_CODE,
+                        "found {far} of {seen} positions farther than {MAX_DISTANCE_M} m in unit {}, as --unit says; the file says \
+                         {stated:?}: leave --unit out, or name another",
+                        unit.unit
+                    )
+                    .at(self.start);
+                }
                 rejected!(
                     "E-C3D-ENDIAN",
                     "found {far} of {seen} positions farther than {MAX_DISTANCE_M} m; the file says \
