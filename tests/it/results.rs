@@ -450,6 +450,20 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     let rows = |folder: &str| bench.rows::<EditRow>(folder);
     // The batch size changes no number of the edits.
     assert_eq!(rows("together"), rows("alone"));
+    // Nor does it with a coordinator, whose products round by the number of their rows.
+    bench.train("coordinator", "guide", "2").expect_code(0);
+    for (name, batch) in [("guided", "64"), ("in-threes", "3")] {
+        bench.edits(
+            name,
+            &[
+                "--coordinator",
+                arg(&bench.path("guide")),
+                "--max-batch",
+                batch,
+            ],
+        );
+    }
+    assert_eq!(rows("guided"), rows("in-threes"));
     let times = |more: &str| {
         let line = format!("eval @together @alone --table a4 {more}");
         bench.typed(&line)

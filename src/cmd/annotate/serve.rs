@@ -74,7 +74,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
             log: report::note,
         },
     )?;
-    announce(&server, &store, &admin, global)?;
+    announce(args, &server, &store, &admin, global)?;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(50));
         copy_if_due(&store);
@@ -118,6 +118,7 @@ fn warnings(args: &Args) -> impl Iterator<Item = &'static str> {
 
 /// Prints the address to open, with a token that logs the admin in once.
 fn announce(
+    args: &Args,
     server: &Server,
     store: &Arc<Store>,
     admin: &User,
@@ -142,7 +143,13 @@ fn announce(
         if let Some(metrics) = metrics {
             report::note(&format!("figures for Prometheus: {metrics}"));
         }
-        report::text(&format!("{url}#token={token}"));
+        // Behind a proxy with TLS, the server takes logins from its pages alone.
+        let opened = match (args.secure, args.host.first()) {
+            (false, _) => url,
+            (true, Some(host)) => format!("https://{host}/"),
+            (true, None) => format!("https://{}/", server.address()),
+        };
+        report::text(&format!("{opened}#token={token}"));
         report::note(&format!(
             "open this address within an hour; it logs {} in once. Ctrl-C ends the server",
             admin.name

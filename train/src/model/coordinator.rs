@@ -4,6 +4,7 @@ use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor};
+use rayon::prelude::*;
 
 use super::denoiser::TwoLayers;
 use super::pass::Pass;
@@ -86,12 +87,31 @@ impl Coordinator {
     /// # Shapes
     /// `x` and the result `[B, W, frame_width]`, on a device without automatic differentiation; `timesteps` `[B]`.
     pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<3> {
-        let device = x.device();
-        let x = Tensor::<3>::from_inner(x).require_grad();
         // On a device with automatic differentiation, dropout would be active.
         let settled = self.valid();
+        if !pass.uses_kernels(&x.device()) {
+            return settled.gradient_of_batch(x, timesteps, pass);
+        }
+        // How a product rounds a row depends on the number of rows. One window at a time, its gradient is the same
+        // whatever else is edited with it.
+        let windows: Vec<Tensor<3>> = (0..timesteps.len())
+            .map(|row| x.clone().narrow(0, row, 1))
+            .collect();
+        let arithmetic = pass.arithmetic();
+        let alone = windows
+            .into_par_iter()
+            .zip(timesteps)
+            .map(|(window, step)| {
+                settled.gradient_of_batch(window, &[*step], &Pass::new(arithmetic))
+            });
+        Tensor::cat(alone.collect(), 0)
+    }
+
+    fn gradient_of_batch(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<3> {
+        let device = x.device();
+        let x = Tensor::<3>::from_inner(x).require_grad();
         // Rows are independent, so the gradient of the sum contains the gradient of each row.
-        let sum = settled.probability(x.clone(), timesteps, pass).sum();
+        let sum = self.probability(x.clone(), timesteps, pass).sum();
         let gradients = sum.backward();
         x.grad(&gradients)
             .unwrap_or_else(|| Tensor::zeros(x.dims(), &device))

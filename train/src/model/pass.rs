@@ -67,6 +67,10 @@ impl Pass {
         }
     }
 
+    pub(crate) fn arithmetic(&self) -> Arithmetic {
+        self.arithmetic
+    }
+
     /// Whether kernels are used on a device.
     pub(crate) fn uses_kernels(&self, device: &Device) -> bool {
         self.arithmetic.uses_kernels(device)
