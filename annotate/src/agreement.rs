@@ -80,10 +80,34 @@ fn ac1(items: &[&Item], labels: usize) -> f64 {
     (agreed - chance) / (1.0 - chance)
 }
 
+/// The decisions with the labels of each person but the first taken from a later task, so that all labels of an item are of
+/// different tasks.
+fn mixed(tasks: &[Vec<Item>]) -> Vec<Item> {
+    let of_other = |task: usize, decision: usize, person: usize| {
+        let other = &tasks[(task + person) % tasks.len()][decision];
+        other[person % other.len()]
+    };
+    let tasks = tasks.iter().enumerate();
+    let items = tasks.flat_map(|(task, decisions)| {
+        let decisions = decisions.iter().enumerate();
+        decisions.map(move |(decision, item)| {
+            let people = 0..item.len();
+            people
+                .map(|person| of_other(task, decision, person))
+                .collect()
+        })
+    });
+    items.collect()
+}
+
 /// Agreement on decisions with labels `0..labels`. Each task has one decision or more, which the same people made; the
 /// bootstrap draws tasks.
 pub(crate) fn part_agreement(part: &str, tasks: &[Vec<Item>], labels: usize) -> PartAgreement {
     PartAgreement {
+        chance: (tasks.len() >= MIN_ITEMS).then(|| {
+            let mixed: Vec<Item> = mixed(tasks);
+            ac1(&mixed.iter().collect::<Vec<_>>(), labels)
+        }),
         part: part.to_owned(),
         items: tasks.len(),
         gwet_ac1: estimate(tasks, |tasks| {
@@ -128,6 +152,31 @@ mod tests {
         // The tolerance is three standard errors of 12,000 pairs.
         let found = ac1(&random.iter().collect::<Vec<_>>(), 2);
         assert!(found.abs() < 0.03, "{found}");
+    }
+
+    #[test]
+    fn answers_that_do_not_look_agree_as_answers_to_other_tasks_do() {
+        let mut rng = Seed(6).rng(&["test"]);
+        // A part that few masks cover, by whim: AC1 alone would call this agreement.
+        let blind: Vec<Vec<Item>> = (0..4000)
+            .map(|_| vec![(0..2).map(|_| usize::from(rng.random_bool(0.1))).collect()])
+            .collect();
+        let found = part_agreement("x", &blind, 2);
+        let (value, chance) = (
+            found.gwet_ac1.expect("items").value,
+            found.chance.expect("items"),
+        );
+        assert!(value > 0.7, "{value}");
+        // The tolerance is three standard errors of the share of equal pairs.
+        assert!((value - chance).abs() < 0.04, "{value} {chance}");
+        // Answers that look agree more than answers to other tasks.
+        let seen: Vec<Vec<Item>> = (0..40).map(|task| vec![vec![task % 2; 3]]).collect();
+        let found = part_agreement("x", &seen, 2);
+        let value = found.gwet_ac1.expect("items").value;
+        // The bound is that of a sum of rounded shares.
+        assert!((value - 1.0).abs() < 1e-12, "{value}");
+        assert!(found.chance.expect("items") < 0.0);
+        assert_eq!(part_agreement("x", &seen[..29], 2).chance, None);
     }
 
     #[test]

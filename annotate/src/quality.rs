@@ -167,6 +167,12 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
         .iter()
         .partition(|task| task.said[0].verdict.is_none());
     let jaccards: Vec<f64> = masks.iter().filter_map(|task| mean(&task.alike)).collect();
+    // An answer to each task, and one of another person to the next task.
+    let following = masks.iter().skip(1).chain(masks.first());
+    let unalike = masks.iter().zip(following);
+    let unalike: Vec<f64> = unalike
+        .map(|(task, next)| task.said[0].likeness(&next.said[1]))
+        .collect();
     let verdicts: Vec<Vec<Item>> = pairs
         .iter()
         .map(|task| vec![task.said.iter().filter_map(|said| said.verdict).collect()])
@@ -191,6 +197,7 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
     Agreement {
         parts: agreement_by_part(&masks),
         jaccard: mean_estimate(&jaccards),
+        jaccard_chance: mean(&unalike).filter(|_| unalike.len() >= MIN_ITEMS),
         verdicts: (!verdicts.is_empty())
             .then(|| part_agreement("verdict", &verdicts, Verdict::ALL.len())),
         shared_items: shared.len(),

@@ -140,6 +140,8 @@ table! {
         pub high: Option<f64> [""],
         /// Number of items
         pub items: u64 [""],
+        /// The same figure of answers to different tasks, which were not given to one another
+        pub chance: Option<f64> ["", newer],
     }
 }
 

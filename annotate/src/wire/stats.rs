@@ -69,6 +69,8 @@ messages! {
         pub parts: Vec<PartAgreement>,
         /// Mean Jaccard index of the joints and frames of masks.
         pub jaccard: Option<Estimate>,
+        /// The same mean of answers to different tasks: what answers reach that were given without looking.
+        pub jaccard_chance: Option<f64>,
         pub verdicts: Option<PartAgreement>,
         /// Tasks with two answers or more, without gold tasks.
         pub shared_items: usize,
@@ -87,6 +89,8 @@ messages! {
         pub items: usize,
         /// Gwet's AC1: the agreement beyond chance.
         pub gwet_ac1: Option<Estimate>,
+        /// AC1 of the same answers, each compared with answers to other tasks. It is above 0 where nearly all answers are equal.
+        pub chance: Option<f64>,
     }
 
     /// `GET stats/quota`: a row for each category and edit type with kept pairs.

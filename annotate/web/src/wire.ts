@@ -194,6 +194,7 @@ export const VERDICTS: readonly Verdict[] = [
 export type Agreement = {
   parts: Array<PartAgreement>,
   jaccard: Estimate | null,
+  jaccard_chance: number | null,
   verdicts: PartAgreement | null,
   shared_items: number,
   accepted_share: Estimate | null,
@@ -606,7 +607,8 @@ export type Outlook = {
 export type PartAgreement = {
   part: string,
   items: number,
-  gwet_ac1: Estimate | null, };
+  gwet_ac1: Estimate | null,
+  chance: number | null, };
 
 /** A body part. */
 export type PartInfo = {

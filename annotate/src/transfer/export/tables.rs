@@ -13,7 +13,7 @@ use crate::mask::mask_of;
 use crate::quality::{Figures, draft_distance};
 use crate::store::{AcceptedAnswer, KeyRange, Reject, TaskRecord};
 use crate::transfer::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
-use crate::wire::{Agreement, Estimate, TaskKind};
+use crate::wire::{Agreement, Estimate, PartAgreement, TaskKind};
 
 /// The first line of layout `csv`.
 const HEAD: &str = "task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n";
@@ -306,19 +306,23 @@ impl Exporter<'_> {
 }
 
 fn agreement_rows(agreement: &Agreement) -> Vec<AgreementRow> {
-    let row = |item: &str, figure: &str, found: Option<Estimate>, items: usize| AgreementRow {
-        item: item.to_owned(),
-        figure: figure.to_owned(),
-        value: found.map(|found| found.value),
-        low: found.map(|found| found.low),
-        high: found.map(|found| found.high),
-        items: items as u64,
+    let row = |item: &str, figure: &str, (found, chance): (Option<Estimate>, _), items: usize| {
+        AgreementRow {
+            item: item.to_owned(),
+            figure: figure.to_owned(),
+            value: found.map(|found| found.value),
+            low: found.map(|found| found.low),
+            high: found.map(|found| found.high),
+            items: items as u64,
+            chance,
+        }
     };
     let parts = agreement.parts.iter().chain(&agreement.verdicts);
-    let (jaccard, items) = (agreement.jaccard, agreement.shared_items);
+    let ac1 = |part: &PartAgreement| (part.gwet_ac1, part.chance);
+    let jaccard = (agreement.jaccard, agreement.jaccard_chance);
     parts
-        .map(|part| row(&part.part, "gwet_ac1", part.gwet_ac1, part.items))
-        .chain([row("masks", "jaccard", jaccard, items)])
+        .map(|part| row(&part.part, "gwet_ac1", ac1(part), part.items))
+        .chain([row("masks", "jaccard", jaccard, agreement.shared_items)])
         .collect()
 }
 

@@ -272,6 +272,7 @@ function agreementFacts(agreement: Agreement): HTMLElement {
   return figuresOf([
     ["Shared items", agreement.shared_items],
     ["Joint sets, mean Jaccard", estimate(agreement.jaccard)],
+    ["Jaccard by chance, of different tasks", agreement.jaccard_chance?.toFixed(2) ?? "n/a"],
     ["Accepted unchanged", estimate(agreement.accepted_share)],
     ["Distance from the draft", percent(agreement.draft_distance)],
     ["Seconds with and without draft", `${seconds(withDraft)} / ${seconds(without)}`],
@@ -283,6 +284,7 @@ function agreementTable(rows: readonly PartAgreement[]): TemplateResult {
     ["Decision", (row) => row.part.replaceAll("_", " ").toLowerCase()],
     ["Items", (row) => row.items],
     ["Gwet AC1", (row) => estimate(row.gwet_ac1)],
+    ["By chance", (row) => row.chance?.toFixed(2) ?? "n/a"],
   ]);
 }
 
