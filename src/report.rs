@@ -1,8 +1,4 @@
 //! The only module that prints: results and JSON documents to stdout, everything else to stderr.
-#![expect(
-    clippy::print_stderr,
-    reason = "printing is this module's job; every other module hands it values"
-)]
 
 use std::borrow::Cow;
 use std::io::{self, ErrorKind, Write};

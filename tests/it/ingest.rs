@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
+use std::process::Stdio;
 
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Skeleton};
@@ -13,7 +14,7 @@ use serde_json::Value;
 
 use crate::util::{
     Ran, arg, assert_quarantined, command, corpus, dataset_of, everything, files_with_extension,
-    put, real_data, rows_of, stance, text_of, typed, typed_with,
+    motions_of, put, real_data, rows_of, stance, text_of, typed, typed_with,
 };
 
 /// The document of `ingest --json`, with the fields that scripts rely on.
@@ -250,4 +251,17 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
     let rows: Vec<QuarantineRow> = rows_of(&out);
     let of_take = |row: &&QuarantineRow| row.path.contains("bandai_namco");
     assert_eq!(rows.iter().find(of_take), None);
+}
+
+#[test]
+fn work_goes_on_where_nobody_reads_its_messages() {
+    let dir = corpus(4);
+    let (source, out) = (dir.path().join("corpus"), dir.path().join("dataset"));
+    let mut ingest = command(&["ingest", arg(&source), "--out", arg(&out)]);
+    let mut child = ingest.stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
+    let child = child.as_mut().expect("stance starts");
+    // As `2>&1 | head -0` does.
+    drop(child.stderr.take());
+    assert!(child.wait().expect("an end").success());
+    assert_eq!(motions_of(&out).len(), 4);
 }
