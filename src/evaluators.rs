@@ -144,7 +144,7 @@ impl MotionClassifier for Classifier<'_> {
 /// How well an encoder's texts and motions retrieve each other in a split.
 pub(crate) struct EncoderRetrieval {
     pub(crate) clips: usize,
-    /// Number of different first captions; clips with equal ones stand for each other.
+    /// Number of distinct first captions. Clips with equal captions count as hits for each other.
     pub(crate) texts: usize,
     pub(crate) encoder_hash: String,
     /// Recalls of a random order at 1, 2 and 3.

@@ -2,8 +2,6 @@
 //!
 //! It is not stored: corpus, dataset and items follow from seed 0, and its digest is a constant below.
 
-use std::path::Path;
-
 use compose::{ItemConfig, ItemCount, Novelty};
 use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
 use datasets_spec::Seed;
@@ -37,9 +35,9 @@ pub(crate) fn items(seed: Seed, is_full: bool) -> ItemConfig {
     }
 }
 
-/// The commands that make its dataset.
-pub(crate) fn commands(dataset: &Path) -> String {
-    let dataset = dataset.display();
+/// The commands that make its dataset in a new folder.
+pub(crate) fn commands() -> String {
+    let dataset = "builtin";
     format!(
         "stance corpus --clips {HELD_OUT_CLIPS} --adjusted {ADJUSTED} --held-out --out corpus; \
          stance ingest corpus --pairs corpus/{PAIR_LIST} --out {dataset}; \

@@ -80,8 +80,7 @@ fn ac1(items: &[&Item], labels: usize) -> f64 {
     (agreed - chance) / (1.0 - chance)
 }
 
-/// The decisions with the labels of each person but the first taken from a later task, so that all labels of an item are of
-/// different tasks.
+/// Items whose labels are of different tasks: the first label is of the task itself, the second of the next task, and so on.
 fn mixed(tasks: &[Vec<Item>]) -> Vec<Item> {
     let of_other = |task: usize, decision: usize, person: usize| {
         let other = &tasks[(task + person) % tasks.len()][decision];
@@ -100,8 +99,8 @@ fn mixed(tasks: &[Vec<Item>]) -> Vec<Item> {
     items.collect()
 }
 
-/// Agreement on decisions with labels `0..labels`. Each task has one decision or more, which the same people made; the
-/// bootstrap draws tasks.
+/// Agreement on decisions with labels `0..labels`. A task has one decision or several by the same people, so the bootstrap
+/// draws tasks.
 pub(crate) fn part_agreement(part: &str, tasks: &[Vec<Item>], labels: usize) -> PartAgreement {
     PartAgreement {
         chance: (tasks.len() >= MIN_ITEMS).then(|| {
@@ -157,7 +156,7 @@ mod tests {
     #[test]
     fn answers_that_do_not_look_agree_as_answers_to_other_tasks_do() {
         let mut rng = Seed(6).rng(&["test"]);
-        // A part that few masks cover, by whim: AC1 alone would call this agreement.
+        // Each answer covers the part with probability 0.1, whatever the task shows, and AC1 is high nevertheless.
         let blind: Vec<Vec<Item>> = (0..4000)
             .map(|_| vec![(0..2).map(|_| usize::from(rng.random_bool(0.1))).collect()])
             .collect();
@@ -169,7 +168,7 @@ mod tests {
         assert!(value > 0.7, "{value}");
         // The tolerance is three standard errors of the share of equal pairs.
         assert!((value - chance).abs() < 0.04, "{value} {chance}");
-        // Answers that look agree more than answers to other tasks.
+        // People who answer by the task agree fully, and answers to different tasks do not.
         let seen: Vec<Vec<Item>> = (0..40).map(|task| vec![vec![task % 2; 3]]).collect();
         let found = part_agreement("x", &seen, 2);
         let value = found.gwet_ac1.expect("items").value;
@@ -194,7 +193,7 @@ mod tests {
             part_agreement("x", &tasks, 2).gwet_ac1
         };
         assert_eq!(of_tasks(29, 1), None);
-        // Five decisions about a task are no five tasks.
+        // Thirty decisions about six tasks count as six.
         assert_eq!(of_tasks(6, 5), None);
         assert_eq!(of_tasks(30, 5).map(|found| found.items), Some(30));
     }

@@ -97,7 +97,7 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         && (imported.note.is_empty() || ours.note == imported.note)
 }
 
-/// Whether answers say the same of the same task in the same words, notes aside.
+/// Whether answers to one task are equal, texts included and notes aside.
 pub(crate) fn share_words(answers: &[Answer]) -> bool {
     let plain = |answer: &Answer| {
         let fields = answer.fields();
@@ -108,7 +108,7 @@ pub(crate) fn share_words(answers: &[Answer]) -> bool {
     plain.windows(2).all(is_same)
 }
 
-/// Whether the masks agree one by one in some order.
+/// Whether each of our masks can be matched with an imported mask that it agrees with, and none is left over.
 fn say_masks(ours: &[&MaskAnswer], imported: &[MaskAnswer]) -> bool {
     let Some((first, others)) = imported.split_first() else {
         return ours.is_empty();
@@ -563,7 +563,7 @@ mod tests {
             masks[1].soft = false;
         });
         assert!(says(&ours, &plain) && !says(&plain, &ours));
-        // Tables sort masks by their ids, and the first of these agrees with both of ours.
+        // The order of masks does not count. The first imported mask agrees with both of ours, the second with the first alone.
         let turned = two_arms(|masks| masks[1].range = Some([0, 20]));
         assert!(says(&ours, &turned));
         let ranges = |masks: &mut [MaskAnswer]| {

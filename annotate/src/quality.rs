@@ -167,7 +167,7 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
         .iter()
         .partition(|task| task.said[0].verdict.is_none());
     let jaccards: Vec<f64> = masks.iter().filter_map(|task| mean(&task.alike)).collect();
-    // An answer to each task, and one of another person to the next task.
+    // The likeness of an answer to each task with an answer to the next task.
     let following = masks.iter().skip(1).chain(masks.first());
     let unalike = masks.iter().zip(following);
     let unalike: Vec<f64> = unalike

@@ -46,7 +46,8 @@ pub struct Difference {
     pub difference: f64,
     /// Number of items for which both systems have a value, and the difference is measured.
     pub items: usize,
-    /// Ends of the 95 % interval of the difference; `None` if these items have fewer than [`MIN_TARGETS`] targets.
+    /// Ends of the 95 % interval of the difference; `None` if the items with a value have fewer than
+    /// [`MIN_TARGETS`] targets.
     pub interval: Option<[f64; 2]>,
     /// The better system, `A` or `B`. `None` if there is no interval or it contains 0, if the encoder cannot rank
     /// systems, and for metrics whose good values are those near real data.

@@ -1,7 +1,7 @@
 //! `stance items`
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
@@ -113,7 +113,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let drawn = drawn.with_context(|| match args.set {
         Some(_) => format!(
             "{BUILTIN_1} is drawn from a dataset of its own, which these commands make in new folders: {}",
-            test_set::commands(Path::new("builtin"))
+            test_set::commands()
         ),
         None => "cannot draw items".to_owned(),
     })?;

@@ -598,7 +598,7 @@ fn a_server_says_who_else_can_reach_it() {
         (all, unproxied, &["without the proxy"]),
         (own, "--metrics 0.0.0.0:0", &["without a login"]),
     ] {
-        // Behind a proxy with TLS, a page is opened by its name there.
+        // Behind a proxy with TLS, the address is that of the proxy.
         let named = more
             .split_once("--host ")
             .and_then(|(_, rest)| rest.split(' ').next());

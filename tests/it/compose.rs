@@ -175,12 +175,17 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
         .typed(items)
         .expect_code(0)
         .expect_said(&format!("{short} masks and pairs of split train"));
+    let windows = "triplets @dataset --windows 4 --compose @long.toml --out @long-windows";
+    folder
+        .typed(windows)
+        .expect_code(0)
+        .expect_said(&format!("{short} masks and pairs are shorter"));
     folder.put("train.toml", "batch_size = 16\nwindow = 60\n");
     let done: Value = folder.json(&format!("{train} --out @long"));
     assert_eq!(done["left_out"], short, "{done}");
     folder.put("train.toml", "batch_size = 16\n");
 
-    // Windows with masks that the dataset has no more are refused.
+    // Windows are refused if the dataset no longer has all masks that they were recorded from.
     let masks: Vec<MaskRow> = folder.rows("dataset");
     commit(
         &folder.path("dataset"),

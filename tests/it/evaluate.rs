@@ -57,7 +57,7 @@ impl Bench {
         Self::of(Workshop::open(), count)
     }
 
-    /// A workshop with the files of its dataset's source.
+    /// A bench whose folder `corpus` holds the source of its dataset.
     fn with_corpus() -> Self {
         Self::of(Workshop::with_corpus(), "8")
     }
@@ -204,14 +204,14 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     }
 
     let fit: Value = bench.json("eval encoder @dataset --encoder @encoder");
-    // Beside the five values of either direction stand the recalls of a random order.
+    // Five values for each direction, then the three recalls of a random order.
     assert_eq!(len_of(&fit), 13);
     let [recalls, by_chance] =
         [0, 10].map(|first: usize| [0, 1, 2].map(|row| number_of(&fit[first + row]["mean"])));
     assert!(recalls.is_sorted() && recalls[2] <= 100.0, "{recalls:?}");
     assert_eq!(fit[10]["queries"], "random order");
     let clips = number_of(&fit[10]["n"]);
-    // Equal captions stand for each other, so chance is at least one of the gallery. The bound is that of a sum.
+    // Equal captions count as hits, so chance is at least that of one hit in the gallery. 1e-9 covers the rounding of a sum.
     let one_of_gallery = 100.0 / clips.min(32.0) - 1e-9;
     assert!(
         by_chance[0] >= one_of_gallery && by_chance.is_sorted(),
@@ -471,7 +471,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
          [[figure]]\nname = \"pairs\"\nkey = \"compose.fixed_pairs\"\nvalues = [true, false]\nmetrics = [\"FS\"]\n\
          [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
-    // Files that an earlier run would have left.
+    // A table of an earlier run.
     bench.put("made/tables/table-2.txt", "older\n");
     let before = bench.root_hash();
     let ran = bench.typed("--json reproduce --weak-judge @plan.toml");

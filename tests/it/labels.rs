@@ -447,7 +447,7 @@ fn lines_that_contradict_each_other_are_reported() {
 fn files_beside_a_motion_are_read_by_their_names_and_nothing_waits_for_a_pipe() {
     let sources = Sources::new();
     sources.motions("a b c d e");
-    // A list has no names of fields.
+    // A list is no object.
     sources.write("a.stance.json", r#"["a person waves"]"#);
     sources.write("b.txt", "a person walks\n");
     sources.write("gone.stance.json", "{}");

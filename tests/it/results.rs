@@ -239,8 +239,8 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     assert!(is_cell("text", "  ", "") && !is_cell("text", "  ", "*"));
     assert!(is_cell("latex", " & ", "") && !is_cell("latex", " & ", "\\textbf"));
 
-    // Editors give the lengths of their sources back. A cropped edit is scored as if its last pose held, so leaving out
-    // the end of a motion does not lower its error.
+    // An edit has the length of its source. A shorter one is scored as if its last pose were held, so leaving out frames
+    // does not lower its error.
     for edit in &mut rows {
         edit.transl.truncate(5);
         edit.global_orient.truncate(5);
@@ -427,7 +427,7 @@ fn further_tables_tell_how_motions_move_and_how_takes_of_one_item_differ() {
     for metric in &metrics {
         for system in ["Real Data", "Identity", UNPOSED] {
             let mean = number_of(&score(&scores, system, metric.name)["mean"]);
-            // Zero is valid for gliding and staying, and real data has it by definition.
+            // Gliding and staying may be zero, and are zero for real data by definition.
             match metric.name {
                 "Gliding (%)" | "Staying (%)" if system == "Real Data" => assert_eq!(mean, 0.0),
                 "Gliding (%)" | "Staying (%)" => {
@@ -450,7 +450,7 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     let rows = |folder: &str| bench.rows::<EditRow>(folder);
     // The batch size changes no number of the edits.
     assert_eq!(rows("together"), rows("alone"));
-    // Nor does it with a coordinator, whose products round by the number of their rows.
+    // Nor does it with a coordinator.
     bench.train("coordinator", "guide", "2").expect_code(0);
     for (name, batch) in [("guided", "64"), ("in-threes", "3")] {
         bench.edits(

@@ -37,11 +37,11 @@ const SMALL: &str = "
 /// A dataset with masks, and settings of small networks.
 pub(crate) struct Workshop {
     folder: Folder,
-    /// The workshop of which this one is a copy; it lies as long as a copy does.
+    /// The workshop that this one is a copy of. It is removed with its last copy.
     shared: Option<Arc<Shared>>,
 }
 
-/// A workshop that those of all tests of this process are copies of.
+/// The workshop that is copied for each test of this process.
 pub(crate) struct Shared {
     workshop: Workshop,
     /// Set once the runs `editor` and `encoder` are trained.
@@ -73,7 +73,7 @@ impl Deref for Workshop {
 }
 
 impl Workshop {
-    /// A workshop without the files of its dataset's source.
+    /// A copy of the shared workshop, without the source of its dataset.
     pub(crate) fn open() -> Self {
         let shared = Shared::get();
         let folder = Folder::empty();
@@ -86,7 +86,7 @@ impl Workshop {
         }
     }
 
-    /// A workshop with the files of its dataset's source, in `corpus`.
+    /// A workshop whose folder `corpus` holds the source of its dataset.
     pub(crate) fn with_corpus() -> Self {
         let folder = Folder::of_clips(CLIPS);
         folder.run("ingest @corpus --out @dataset");
@@ -233,9 +233,9 @@ fn the_released_pose_network_begins_as_pytorchs_layers_do() {
         .map(|bytes| f32::from_le_bytes(*bytes))
         .collect();
     assert_eq!(variances.len(), 128);
-    // The file beside the report, which was measured with it, has the weights that edits use.
+    // The report and the weights beside it are of the best checkpoint, which edits use.
     assert_eq!(tensors(&workshop.path("poses/model.safetensors")), weights);
-    // The running statistics of a batch follow the order of the steps, on any number of threads.
+    // The running statistics of batch normalisation do not depend on the number of threads.
     let one = [&settings[..], &["--threads", "1"]].concat();
     workshop.train_with("j2s", "one", &one).expect_code(0);
     let [several, one] = ["poses", "one"].map(|run| {
@@ -366,7 +366,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     workshop.train("coordinator", "guide", "6").expect_code(0);
     let clip = workshop.clip();
     let edit = format!("edit @editor --motion {}", clip.display());
-    // The last step was validated as the best: its averaged weights are those of checkpoint `best`, and not the plain ones.
+    // The last step is the best one, so both checkpoints hold the same averaged weights; `last` also holds the plain ones.
     let [best, last] = ["best", "last"].map(|slot| {
         workshop.run(&format!(
             "{edit} --text wave --checkpoint {slot} --out @of-{slot}"

@@ -263,7 +263,7 @@ fn fit<M: Networks>(
         kind: KIND,
         samples: "poses",
         run: settings,
-        // Batch normalisation is over the whole batch, and its running statistics are in the order of the steps.
+        // Batch normalisation needs the whole batch at once; its running statistics would depend on the order of the threads.
         of_thread: (config.preset == J2sPreset::Paper).then_some(128),
         epoch_len: train.iter().map(|motion| motion.len() as u64).sum(),
         draw: &|step, micro| {

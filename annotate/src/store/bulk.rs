@@ -171,7 +171,7 @@ fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
     let frames = project::frames(tx, &one.task.source)?;
     let is_apart = answer::spread(&all, frames).is_some_and(|distance| distance > 0.0);
-    // The distance leaves texts aside, which may contradict each other.
+    // The distance does not compare texts, which may contradict each other.
     if is_apart || !answer::share_words(&all) {
         return Ok(Err("answers_differ"));
     }

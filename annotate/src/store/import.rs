@@ -25,7 +25,7 @@ impl Store {
         Ok(())
     }
 
-    /// Changes the guideline of a kind of task, and no other setting, whoever changes one meanwhile.
+    /// Changes the guideline of a kind of task. Settings that others change at the same time are kept.
     pub fn put_guide(
         &self,
         actor: i64,

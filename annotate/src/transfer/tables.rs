@@ -140,7 +140,7 @@ table! {
         pub high: Option<f64> [""],
         /// Number of items
         pub items: u64 [""],
-        /// The same figure of answers to different tasks, which were not given to one another
+        /// The same figure, computed of answers to different tasks
         pub chance: Option<f64> ["", newer],
     }
 }

@@ -69,7 +69,7 @@ messages! {
         pub parts: Vec<PartAgreement>,
         /// Mean Jaccard index of the joints and frames of masks.
         pub jaccard: Option<Estimate>,
-        /// The same mean of answers to different tasks: what answers reach that were given without looking.
+        /// The same mean, between answers to different tasks: the value that answers reach without looking at the clip.
         pub jaccard_chance: Option<f64>,
         pub verdicts: Option<PartAgreement>,
         /// Tasks with two answers or more, without gold tasks.
@@ -89,7 +89,7 @@ messages! {
         pub items: usize,
         /// Gwet's AC1: the agreement beyond chance.
         pub gwet_ac1: Option<Estimate>,
-        /// AC1 of the same answers, each compared with answers to other tasks. It is above 0 where nearly all answers are equal.
+        /// AC1 of the same answers, each compared with answers to other tasks. It is above 0 if nearly all answers are equal.
         pub chance: Option<f64>,
     }
 

@@ -375,6 +375,10 @@ pub(crate) fn send(
     for (name, value) in headers {
         request = request.header(*name, *value);
     }
+    if body.is_some() {
+        // A server that refuses an upload without reading it closes the connection, which then cannot be used again.
+        request = request.header("connection", "close");
+    }
     let response = match body {
         Some(body) => agent.run(request.body(body).expect("a request")),
         None => agent.run(request.body(()).expect("a request")),

@@ -88,8 +88,8 @@ pub(crate) fn from_start(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
     points.iter().map(|frame| frame.map(&to_start)).collect()
 }
 
-/// Holds the last frame of a motion that is shorter than `len` frames, so that a part of a motion is no answer to the
-/// whole.
+/// Repeats the last frame of a motion that is shorter than `len` frames. Otherwise an edit could lower its error by leaving
+/// out frames.
 pub(crate) fn held(mut points: Vec<KeypointFrame>, len: usize) -> Vec<KeypointFrame> {
     if let Some(&last) = points.last() {
         points.resize(len.max(points.len()), last);

@@ -287,8 +287,8 @@ struct Gathered {
 struct OfMotions<'a> {
     skeleton: &'a Skeleton,
     protocol: &'a Protocol,
-    /// Windows used to find the seams of motions that record no windows: those that all systems share that record theirs.
-    /// If they differ, such motions have no seams.
+    /// Windows used to find the seams of motions that record none, such as real data: those of the systems that record
+    /// windows; `None` if these differ.
     windows: Option<Windows>,
     metrics: Vec<(&'static Metric, MotionMeasure)>,
 }
@@ -304,7 +304,7 @@ impl OfMotions<'_> {
         } = subject;
         let fps = motion.fps();
         let keypoints = self.skeleton.motion_keypoints(motion).points;
-        // Editors give their sources' lengths back; what an edit lacks of that is scored as its last pose.
+        // An edit has the length of its source; the frames that a shorter one lacks are scored as its last pose.
         let found = held(from_start(&keypoints), asked.source.len());
         let distances = distances(&found, &asked.of_target.from_start);
         let windows = edit.and_then(windows_of).or(self.windows);

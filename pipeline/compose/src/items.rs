@@ -139,19 +139,7 @@ pub fn draw_items<'a>(
     let library = Arc::clone(library).aligned(compose.alignment)?;
     let stride = compose.stride(library.fps())?;
     let span = compose.span(stride);
-    let subjects = subjects_of(&library, config, span, seed)?;
-    let num_short = {
-        let is_wanted = |subject: &Subject| {
-            let task = library.task_of(*subject);
-            !library.is_asked_as_is(*subject)
-                && (config.tasks.is_empty() || config.tasks.contains(&task))
-                && config.compose.kinds.contains(&library.kind_of(*subject))
-        };
-        let wanted = library.all_subjects().filter(is_wanted);
-        wanted
-            .filter(|subject| library.frames_of(*subject) < span)
-            .count()
-    };
+    let (subjects, num_short) = subjects_of(&library, config, span, seed)?;
     let drawer = Drawer {
         base: library.base(&compose, seed, span)?,
         library,
@@ -192,13 +180,14 @@ pub fn draw_items<'a>(
     })
 }
 
-/// The usable masks and pairs of the requested tasks, each with its draw, by which they are ordered.
+/// The usable masks and pairs of the requested tasks, each with its draw, by which they are ordered, and the number of
+/// those that are shorter than a window.
 fn subjects_of(
     library: &Library,
     config: &ItemConfig,
     span: usize,
     seed: Seed,
-) -> Result<Vec<(u64, Subject)>, Error> {
+) -> Result<(Vec<(u64, Subject)>, usize), Error> {
     let split = library.split();
     let is_wanted = |task: ItemTask| config.tasks.is_empty() || config.tasks.contains(&task);
     let mut wanted = library
@@ -211,12 +200,16 @@ fn subjects_of(
         let tasks = tasks.collect::<Vec<_>>().join(", ");
         return Err(Error::NoTask { split, tasks });
     }
-    let mut subjects: Vec<(u64, Subject)> = wanted
+    let (usable, short): (Vec<Subject>, Vec<Subject>) = wanted
         .filter(|subject| {
             library.is_asked_as_is(*subject)
-                || (config.compose.kinds.contains(&library.kind_of(*subject))
-                    && library.frames_of(*subject) >= span)
+                || config.compose.kinds.contains(&library.kind_of(*subject))
         })
+        .partition(|subject| {
+            library.is_asked_as_is(*subject) || library.frames_of(*subject) >= span
+        });
+    let mut subjects: Vec<(u64, Subject)> = usable
+        .into_iter()
         .map(|subject| {
             let id = library.subject_id(subject);
             (seed.draw_u64(&["evaluation order", id]), subject)
@@ -227,7 +220,7 @@ fn subjects_of(
         return Err(Error::NoItem { split, frames });
     }
     subjects.sort_unstable_by_key(|(order, _)| *order);
-    Ok(subjects)
+    Ok((subjects, short.len()))
 }
 
 /// Drawn items without their motions, which are made when rows are asked for.

@@ -157,8 +157,12 @@ pub fn record(
         files.extend(shard);
     }
     let dataset = recording.commit(transaction, &staging, files, Quarantine::default())?;
+    let short = match recording.stream.num_short() {
+        0 => String::new(),
+        count => format!("; {count} masks and pairs are shorter than a window and not used"),
+    };
     context.progress.finish(&format!(
-        "{} {} recorded",
+        "{} {} recorded{short}",
         settings.count,
         settings.kind.table()
     ));

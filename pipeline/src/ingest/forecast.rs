@@ -28,7 +28,7 @@ pub struct Forecast {
     pub settings: Option<String>,
     /// Masks and pairs that would be lost, with the clip and what happens to it.
     pub lost: Vec<LostLabel>,
-    /// Automatic masks and pairs that would be removed, by table. Their stages make them again.
+    /// Number of automatic masks and pairs that would be removed with clips that change or go, by table.
     pub removed: BTreeMap<String, u64>,
     /// Lines of the list of splits that would give no clip a split.
     pub refused_splits: Vec<RefusedLine>,

@@ -30,7 +30,8 @@ pub struct Growth {
     pub labels: BTreeMap<String, u64>,
     /// Masks and pairs that are lost, with the reason. The previous version keeps them.
     pub lost: Vec<LostLabel>,
-    /// Automatic masks and pairs of clips that changed or were removed, by table. Their stages make them again.
+    /// Number of automatic masks and pairs of clips that changed or were removed, by table. Their stages make those of changed
+    /// clips again.
     pub removed: BTreeMap<String, u64>,
     /// Tables that were composed of changed or removed clips; their commands make them again.
     pub dropped_tables: Vec<String>,

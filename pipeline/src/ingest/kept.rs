@@ -25,7 +25,7 @@ pub(super) struct Labels {
     pub(super) masks: Vec<MaskRow>,
     pub(super) pairs: Vec<PairRow>,
     pub(super) lost: Vec<LostLabel>,
-    /// Automatic labels of clips that changed or went, by table. Their stages make them again.
+    /// Number of automatic labels of clips that changed or were removed, by table.
     pub(super) removed: BTreeMap<String, u64>,
 }
 

@@ -143,7 +143,7 @@ fn announce(
         if let Some(metrics) = metrics {
             report::note(&format!("figures for Prometheus: {metrics}"));
         }
-        // Behind a proxy with TLS, the server takes logins from its pages alone.
+        // With --secure, the server refuses logins from pages that were loaded without TLS.
         let opened = match (args.secure, args.host.first()) {
             (false, _) => url,
             (true, Some(host)) => format!("https://{host}/"),

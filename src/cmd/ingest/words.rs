@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 
 use clip::LabelProblem;
+use datasets_spec::record::MaskRow;
+use datasets_spec::table::Row as _;
 use pipeline::annotation::pairs::RefusedLine;
 use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
 
@@ -203,11 +205,15 @@ fn grown(growth: &Growth) -> String {
     text
 }
 
-/// Automatic labels that go with their clips; an empty text for none.
+/// Automatic labels of clips that changed or were removed; an empty text for none.
 fn removed(labels: &BTreeMap<String, u64>) -> String {
     let lines = labels.iter().map(|(table, count)| {
+        let verb = match table.as_str() {
+            MaskRow::TABLE => "masks --add",
+            other => other,
+        };
         format!(
-            "{count} automatic {table} of changed clips go; `stance {table}` makes them again\n"
+            "{count} automatic {table} go with clips that changed or were removed; `stance {verb}` makes those of changed clips again\n"
         )
     });
     lines.collect()

@@ -92,8 +92,8 @@ impl Coordinator {
         if !pass.uses_kernels(&x.device()) {
             return settled.gradient_of_batch(x, timesteps, pass);
         }
-        // How a product rounds a row depends on the number of rows. One window at a time, its gradient is the same
-        // whatever else is edited with it.
+        // A matrix product may round a row differently if the number of rows changes. So each window is computed alone,
+        // and its gradient does not depend on the other windows of the batch.
         let windows: Vec<Tensor<3>> = (0..timesteps.len())
             .map(|row| x.clone().narrow(0, row, 1))
             .collect();

@@ -368,8 +368,8 @@ impl<'a> Solver<'a> {
         Some(())
     }
 
-    /// Updates offsets and scale by least squares, for fixed poses. Markers that lie elsewhere than their bodies count little:
-    /// a stray one pulls with the square of its distance.
+    /// Updates offsets and scale by least squares, for fixed poses. In the fit of the scale, the weight of a marker whose
+    /// residual exceeds [`OUTLIER_M`] falls with the square of the residual; otherwise a stray marker would dominate the fit.
     fn refit(&mut self, frames: &Frames, chosen: &[usize], bodies: &[Body]) {
         let (mut along, mut spread) = (0.0, 0.0);
         for (body, &frame) in bodies.iter().zip(chosen) {

@@ -93,7 +93,7 @@ impl Tree<'_> {
 
     fn body_at(&self, pelvis: usize) -> Option<[Option<usize>; NUM_BODY_JOINTS]> {
         let mut legs = self.symmetric_pair(pelvis, MIN_LEG)?;
-        // Some rigs have a bone between pelvis and hip that lies in the pelvis.
+        // Some rigs have an extra bone above each hip, at the place of the pelvis.
         let is_helper = |leg: &Chain| {
             let way = self.position(leg[0]).distance(self.position(pelvis));
             leg.len() > MIN_LEG && way < HELPER * self.length(leg)

@@ -135,8 +135,8 @@ impl Files {
         self.with(relative, |path| self.store.open_at(path).map(Reader::new))
     }
 
-    /// Whether there can be a file at a path. At a URL, where every check costs a request, the folder is listed once. On a
-    /// disk, nothing waits for what may come through a pipe.
+    /// Whether there can be a file at a path. At a URL, where every check costs a request, the folder is listed once. Local
+    /// pipes and devices are no files, because reading them may never end.
     fn may_be_there(&self, path: &Path) -> bool {
         let Some(folder) = path.parent().filter(|_| is_url(path)) else {
             let found = std::fs::metadata(path);

@@ -15,8 +15,10 @@ pub(super) struct Document<'a> {
     file_len: usize,
 }
 
-/// The JSON without the channels that name no node, such as those of `KHR_animation_pointer`; `None` if it is no glTF. The
-/// specification allows such channels, and has readers ignore them.
+/// The JSON without animation channels that have no target node; `None` if it is no glTF.
+///
+/// # Source
+/// glTF 2.0, section 3.11: a reader ignores channels without `target.node`. `KHR_animation_pointer` writes such channels.
 fn with_targets(text: &[u8]) -> Option<Vec<u8>> {
     let mut root: serde_json::Value = serde_json::from_slice(text).ok()?;
     for animation in root.get_mut("animations")?.as_array_mut()? {

@@ -14,8 +14,9 @@ use clip::{Rejected, rejected};
 /// Limit on bones: joints of the skin and the nodes above them.
 const MAX_BONES: usize = 4096;
 
-/// The skins of the body that an animation moves: of the skins that it moves, or of all if it moves none, the first with
-/// the most joints, and those whose joints lie above or below its own, as where gloves or trousers have a skin.
+/// The skins of the body that an animation moves. The first is the one with the most joints among those that the animation
+/// moves, or among all if it moves none. Skins whose joints are ancestors or descendants of its joints belong to the same
+/// body, such as gloves and trousers.
 pub(super) fn skins_of_body<'a>(
     document: &'a Document,
     tree: &Tree,

@@ -230,7 +230,7 @@ fn a_body_is_read_whole_whatever_its_skins_are() {
     let dressed = clip_of(&Parts::walking().with(gloves).embedded());
     assert_eq!(dressed.motion, plain.motion);
     assert_eq!(dressed.notes, plain.notes);
-    // A prop of more joints, which the animation does not move.
+    // A prop with more joints than the body. The animation does not move it.
     let beside_rope = Parts::walking().with(|json| {
         gloves(json);
         let nodes = json["nodes"].as_array_mut().expect("nodes");

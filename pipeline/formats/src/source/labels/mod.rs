@@ -171,7 +171,7 @@ fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProbl
     let parsed = refuse_pointer(&bytes).map_err(|rejected| rejected.reason);
     let parsed = parsed.and_then(|()| {
         let json = bytes.strip_prefix(UTF8_BOM).unwrap_or(&bytes);
-        // The fields have names; serde would also read them from a list, by their places.
+        // Only an object: serde would also read a list, by the order of the fields.
         let object = serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(json);
         object
             .and_then(|fields| serde_json::from_value::<Sidecar>(fields.into()))
