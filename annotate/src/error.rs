@@ -189,6 +189,7 @@ impl Code {
             Self::LeaseLost => (409, "The task was given to somebody else"),
             Self::TaskFull => (409, "The task has enough annotators"),
             Self::WrongState => (409, "Not possible in this state"),
+            Self::SettingChanged => (409, "Changed by somebody else"),
             Self::KeyReused => (409, "Key used before"),
             Self::RateLimited => (429, "Too many requests"),
             Self::NoModel => (503, "No language model"),

@@ -11,7 +11,8 @@ use std::time::{Duration, Instant};
 use annotate::store::{NewTask, Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
 use annotate::wire::{
-    Answer, EventResults, Next, ReviewNext, ReviewQueue, Role, Settings, TaskKind, TaskView, User,
+    Answer, EventResults, Next, ReviewNext, ReviewQueue, Role, Settings, SettingsChange, TaskKind,
+    TaskView, User,
 };
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::read_rows;
@@ -205,13 +206,17 @@ fn events(view: &TaskView, key: &str, answer: &Answer) -> Value {
 }
 
 /// One answer for each task and no draws; a reviewer may accept answers of their own.
-pub(crate) fn settings() -> Settings {
-    Settings {
+pub(crate) fn settings() -> SettingsChange {
+    let now = Settings {
         blind_percent: 0,
         gold_percent: 0,
         overlap_percent: 0,
         solo: true,
         ..Settings::default()
+    };
+    SettingsChange {
+        was: Settings::default(),
+        now,
     }
 }
 
@@ -222,7 +227,7 @@ fn wants_one_answer(dataset: &Path) {
 /// Applies the settings of these tests to a store.
 fn set(file: &Path) {
     let store = open_sqlite(file).expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
+    store.change_settings(1, settings(), 0).expect("settings");
 }
 
 #[test]
@@ -949,7 +954,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
     let place = ["--store", url.as_str()];
     annotate(&dataset, &[&place[..], &["import"]].concat()).expect_code(0);
     let store = annotate::store::open_postgres(&url, "annotate").expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
+    store.change_settings(1, settings(), 0).expect("settings");
     let hash = store.all_motions().expect("motions")[0].hash.clone();
     let run = std::process::id();
     let bare = (0..tasks).map(|number| bare_task(format!("two{run}_{number:06}"), &hash));

@@ -34,7 +34,7 @@ fn labelled(dir: &Path, name: &str, seed: &str) -> PathBuf {
 fn annotated(dataset: &Path) {
     stance(&["annotate", arg(dataset), "import"]).expect_code(0);
     let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
+    store.change_settings(1, settings(), 0).expect("settings");
     let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
     let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
     let mask = |part: &str| json!({ "parts": [part], "text": "waving" });
@@ -391,7 +391,7 @@ fn a_clip_that_an_answer_leaves_without_masks_gets_none_until_the_answer_is_take
     let automatic = masks(&dataset);
     stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
     let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
+    store.change_settings(1, settings(), 0).expect("settings");
     let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
     let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
     let answer = json!({ "kind": "mask_text", "masks": [], "count_reason": "other", "note": "nothing moves" });

@@ -199,7 +199,7 @@ fn pairs_made_again_stay_as_people_judged_them() {
     assert_eq!(paired(&dataset)["pairs"], 10);
     stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
     let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
+    store.change_settings(1, settings(), 0).expect("settings");
     let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
     let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
     for answer in [

@@ -38,7 +38,7 @@ impl Labelled {
         stance(&["pairs", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
         let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
-        store.put_settings(1, settings(), 0).expect("settings");
+        store.change_settings(1, settings(), 0).expect("settings");
         made.annotate("store.sqlite", &["import"]);
         let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
         let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));

@@ -3,8 +3,8 @@
 use super::db::{Result, ToSql, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, LoggedTask};
 use super::projections::{
-    Acceptance, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh, set_state,
-    words,
+    Acceptance, barred, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh,
+    set_state, words,
 };
 use super::records::Millis;
 use super::rows;
@@ -303,6 +303,12 @@ impl Change<'_> {
                 let blind = tx.number(blind, params![task, actor])? != 0;
                 self.lease_to_actor(tx, Purpose::Annotate, *expires, blind)?;
                 self.forget(tx, "gold_score")?;
+                // An answer that was taken back counts once it is handed in again.
+                tx.run(
+                    "UPDATE work SET answers = 0 WHERE seq = (
+                       SELECT MAX(seq) FROM work WHERE task = ?1 AND usr = ?2 AND answers = 1)",
+                    params![task, actor],
+                )?;
                 refresh(tx, task)
             }
             Body::SuggestionUsed {
@@ -364,8 +370,7 @@ impl Change<'_> {
                 }
                 self.reserve(tx, authors, *until, Purpose::Returned)?;
                 self.set(tx, "came_back", true)?;
-                let author = (authors.len() == 1).then(|| authors[0]);
-                self.put_review(tx, author, comment, None)?;
+                self.put_review(tx, authors, comment, None)?;
                 refresh(tx, task)
             }
             Body::Accepted {
@@ -378,7 +383,7 @@ impl Change<'_> {
                 self.decide_on_answers(tx, *author)?;
                 let accepted = rows::revision(tx, task, *author)?;
                 let answer = accepted.ok_or_else(|| Error::not_found("answer"))?.answer;
-                self.settle(tx, Some(*author), comment, rule.as_deref())?;
+                self.settle(tx, &[*author], comment, rule.as_deref())?;
                 let acceptance = Acceptance {
                     author: *author,
                     keeps: answer.verdict() == Some(Verdict::Keep),
@@ -394,7 +399,8 @@ impl Change<'_> {
             } => {
                 // No user has the id 0: all submitted answers are superseded.
                 self.decide_on_answers(tx, 0)?;
-                self.settle(tx, None, comment, None)?;
+                let authors = self.authors(tx)?;
+                self.settle(tx, &authors, comment, None)?;
                 let acceptance = Acceptance {
                     merged: true,
                     ..Acceptance::by(self.actor, answer, basis(None, *own))
@@ -402,7 +408,8 @@ impl Change<'_> {
                 self.accept(tx, &acceptance)
             }
             Body::Dropped { comment, .. } => {
-                self.settle(tx, None, comment, None)?;
+                let authors = self.authors(tx)?;
+                self.settle(tx, &authors, comment, None)?;
                 set_state(tx, task, TaskState::Dropped)
             }
             Body::Reopened { comment, rule, .. } => {
@@ -411,7 +418,8 @@ impl Change<'_> {
                     "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
                     params![task],
                 )?;
-                self.put_review(tx, None, comment, rule.as_deref())?;
+                let authors = self.authors(tx)?;
+                self.put_review(tx, &authors, comment, rule.as_deref())?;
                 refresh(tx, task)
             }
             _ => Ok(()),
@@ -443,12 +451,12 @@ impl Change<'_> {
     fn settle(
         &self,
         tx: &mut dyn Tx,
-        author: Option<i64>,
+        authors: &[i64],
         comment: &str,
         rule: Option<&str>,
     ) -> Result<()> {
         end_leases(tx, self.task)?;
-        self.put_review(tx, author, comment, rule)?;
+        self.put_review(tx, authors, comment, rule)?;
         self.set(tx, "changed", false)
     }
 
@@ -541,22 +549,30 @@ impl Change<'_> {
         )
     }
 
+    /// Everybody who answered the task.
+    fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
+        let sql =
+            "SELECT author FROM revision WHERE task = ?1 AND state <> 'draft' ORDER BY author";
+        tx.list(sql, params![self.task])
+    }
+
     fn put_review(
         &self,
         tx: &mut dyn Tx,
-        author: Option<i64>,
+        authors: &[i64],
         comment: &str,
         rule: Option<&str>,
     ) -> Result<()> {
+        let authors = barred(authors.iter().map(ToString::to_string));
         tx.run(
-            "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule)
+            "INSERT INTO review (seq, task, reviewer, decision, authors, comment, at, rule)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
             params![
                 self.seq,
                 self.task,
                 self.actor,
                 self.entry.body.kind(),
-                author,
+                authors,
                 comment,
                 self.entry.at,
                 rule

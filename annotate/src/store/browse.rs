@@ -6,6 +6,7 @@ use serde::de::DeserializeOwned;
 
 use super::db::{Params, Result, ToSql, Tx, params};
 use super::filter::{self, Values, condition};
+use super::projections::concerns;
 use super::records::TaskRecord;
 use super::rows::{self, REVISION, TASK};
 use super::store::Store;
@@ -240,17 +241,17 @@ fn brief((own, name): (Revision, String)) -> AnswerBrief {
 /// Decisions `v` that match an SQL condition.
 fn decisions(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<DecisionRow>> {
     let sql = format!(
-        "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, '[]', v.rule, v.comment,
+        "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), '[]', v.rule, v.comment,
            v.at, t.state
          FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer WHERE {condition}"
     );
     let mut found: Vec<DecisionRow> = tx.list(&sql, params)?;
+    let authors = format!(
+        "SELECT u.name FROM review v JOIN usr u ON {} WHERE v.seq = ?1 ORDER BY u.id",
+        concerns("u.id")
+    );
     for row in &mut found {
-        row.authors = tx.list(
-            "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-             WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
-            params![row.task, row.author.unwrap_or(-1)],
-        )?;
+        row.authors = tx.list(&authors, params![row.seq])?;
     }
     Ok(found)
 }

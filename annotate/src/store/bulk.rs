@@ -8,7 +8,7 @@ use super::filter::{self, Values, condition};
 use super::leases::Turn;
 use super::records::{Millis, TaskRecord, Who};
 use super::store::Store;
-use super::{log, project, review, rows, rules};
+use super::{leases, log, project, review, rows, rules};
 use crate::answer;
 use crate::error::{Error, require};
 use crate::state::{LogKind, targets};
@@ -88,6 +88,7 @@ fn bulk(
                 done.done += 1;
                 if act {
                     log::note(tx, now, Some(who), Some(one.task.id), body)?;
+                    leases::free_of_the_disabled(tx, one.task.id, Some(who), now)?;
                 }
             }
             Err(reason) => *done.left_alone.entry(reason.to_owned()).or_default() += 1,

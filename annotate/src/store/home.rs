@@ -4,6 +4,7 @@ use datasets_spec::quantile;
 
 use super::db::{Result, Tx, params};
 use super::leases::Turn;
+use super::projections::concerns;
 use super::records::Millis;
 use super::store::Store;
 use super::{claim, rows};
@@ -84,9 +85,12 @@ fn queue(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<QueueInfo> {
 
 /// Tasks whose answers were sent back to a person.
 fn returned(tx: &mut dyn Tx, user: i64) -> Result<Vec<ReturnedTask>> {
-    let sql = "SELECT t.id, t.kind, COALESCE((SELECT v.comment FROM review v
-             WHERE v.task = t.id AND v.decision = 'returned' ORDER BY v.seq DESC LIMIT 1), ''), l.expires
+    let sql = format!(
+        "SELECT t.id, t.kind, COALESCE((SELECT v.comment FROM review v
+             WHERE v.task = t.id AND v.decision = 'returned' AND {} ORDER BY v.seq DESC LIMIT 1), ''), l.expires
          FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose = 'returned' ORDER BY l.id";
-    tx.list(sql, params![user])
+         WHERE l.usr = ?1 AND l.purpose = 'returned' ORDER BY l.id",
+        concerns("l.usr")
+    );
+    tx.list(&sql, params![user])
 }

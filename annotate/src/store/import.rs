@@ -9,7 +9,7 @@ use super::store::Store;
 use super::{log, project, read, rows, rules};
 use crate::Error;
 use crate::answer;
-use crate::wire::{Answer, KindGuide, Settings, TaskKind, TaskState};
+use crate::wire::{Answer, GuideChange, Settings, SettingsChange, TaskKind, TaskState};
 
 /// Prefix that turns the key of a task into the key of its gold copy.
 pub(super) const GOLD_KEY: &str = "gold:";
@@ -17,25 +17,34 @@ pub(super) const GOLD_KEY: &str = "gold:";
 const GOLD_WANTED: u32 = 1_000_000;
 
 impl Store {
-    /// Changes the settings. A changed number of people is applied, in batches, to all tasks that still want answers.
-    /// Refused with `invalid`.
-    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
-        self.write(move |tx| project::put_settings(tx, Some(actor), settings, now))?;
+    /// Changes the settings that a client wants changed, and leaves the others as they are. A changed number of people is
+    /// applied, in batches, to all tasks that still want answers. Refused with `invalid`, and with `setting_changed` if
+    /// somebody changed one of these settings after the client read them.
+    pub fn change_settings(&self, actor: i64, change: SettingsChange, now: Millis) -> Result<()> {
+        self.write(move |tx| {
+            let settings = project::changed_settings(tx, &change)?;
+            project::put_settings(tx, Some(actor), settings, now)
+        })?;
         while !self.write(move |tx| retarget(tx, actor, now))? {}
         Ok(())
     }
 
-    /// Changes the guideline of a kind of task. Settings that others change at the same time are kept.
-    pub fn put_guide(
+    /// Changes the guidelines of a kind of task. Refused with `invalid`, and with `setting_changed` if they are no longer
+    /// as the client read them.
+    pub fn change_guide(
         &self,
         actor: i64,
         kind: TaskKind,
-        guide: KindGuide,
+        change: GuideChange,
         now: Millis,
     ) -> Result<()> {
         self.write(move |tx| {
             let mut settings = project::settings(tx)?;
-            settings.guides.insert(kind, guide.clone());
+            let stored = settings.guides.get(&kind).cloned().unwrap_or_default();
+            if stored != change.was && stored != change.now {
+                return Err(project::setting_changed(&format!("guides.{kind}")));
+            }
+            settings.guides.insert(kind, change.now);
             project::put_settings(tx, Some(actor), settings, now)
         })
     }

@@ -130,6 +130,21 @@ pub(super) fn end(
     note(tx, held, actor, now, body)
 }
 
+/// Ends the reservations of a task for people who were disabled, so that others can take it.
+pub(super) fn free_of_the_disabled(
+    tx: &mut dyn Tx,
+    task: i64,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<()> {
+    let from = "lease l JOIN usr u ON u.id = l.usr
+         WHERE l.task = ?1 AND l.purpose = 'returned' AND u.active = 0 ORDER BY l.id";
+    for held in rows::leases(tx, from, params![task])? {
+        end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
+    }
+    Ok(())
+}
+
 /// The user of a request, its time, and the settings of the project.
 pub(super) struct Turn {
     pub(super) user: i64,

@@ -74,6 +74,8 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
     "DROP TABLE paraphrase",
     // 8: edit types of pairs, for their quotas.
     "",
+    // 9: whose answers a decision concerned; answers that were taken back do not count as work.
+    "",
 ];
 
 /// Version of the tables of this program.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Params, Result, Tx, json, params};
+use super::db::{Params, Result, Tx, json, params, unreadable};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::settings::{check, is_name};
@@ -10,7 +10,8 @@ use super::store::Store;
 use super::{log, rows};
 use crate::error::{Error, require};
 use crate::wire::{
-    Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, TaskState,
+    Action, Code, KEY_CODES, KEY_MODIFIERS, Prefs, Problem, Settings, SettingsChange, Style,
+    Suggestion, TaskState,
 };
 
 /// Characters that the write test writes: more than any answer has, so that a nearly full disk fails the test.
@@ -228,6 +229,35 @@ pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings> {
         Some(body) => read_stored("setting", &body),
         None => Ok(Settings::default()),
     }
+}
+
+/// The stored settings after the change of a client. Refused with `setting_changed`.
+pub(super) fn changed_settings(tx: &mut dyn Tx, change: &SettingsChange) -> Result<Settings> {
+    let fields = |settings: &Settings| {
+        serde_json::to_value(settings).map_err(|error| unreadable("setting", error))
+    };
+    let mut stored = fields(&self::settings(tx)?)?;
+    let (was, wanted) = (fields(&change.was)?, fields(&change.now)?);
+    for (field, value) in wanted.as_object().into_iter().flatten() {
+        if was[field] == *value || stored[field] == *value {
+            continue;
+        }
+        if stored[field] != was[field] {
+            return Err(setting_changed(field));
+        }
+        stored[field] = value.clone();
+    }
+    serde_json::from_value(stored).map_err(|error| unreadable("setting", error))
+}
+
+/// An error for a setting that is no longer as the client read it.
+pub(super) fn setting_changed(field: &str) -> Error {
+    let problem = format!(
+        "somebody changed {field} after you read it; note your own change, load the page again and repeat it"
+    );
+    let mut problem = Problem::new(Code::SettingChanged, problem);
+    problem.field = Some(field.to_owned());
+    Error::Refused(Box::new(problem))
 }
 
 /// The value stored under a name.

@@ -138,11 +138,21 @@ pub(super) fn words(answer: &Answer) -> String {
 
 /// Names of the parts of an answer, each between bars: `|LEFT_ARM|LOWER_BODY|`.
 pub(super) fn part_list(answer: &Answer) -> String {
-    let names: Vec<&str> = answer.part_names().into_iter().collect();
+    barred(answer.part_names().into_iter().map(str::to_owned))
+}
+
+/// Names in one text, each between bars, so that a search finds whole names; empty without names.
+pub(super) fn barred(names: impl Iterator<Item = String>) -> String {
+    let names: Vec<String> = names.collect();
     if names.is_empty() {
         return String::new();
     }
     format!("|{}|", names.join("|"))
+}
+
+/// SQL: whether the decision `v` concerned the answer of a user, which is a column or a parameter of SQL.
+pub(super) fn concerns(user: &str) -> String {
+    format!("v.authors LIKE '%|' || CAST({user} AS TEXT) || '|%'")
 }
 
 pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<()> {

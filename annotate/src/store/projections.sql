@@ -84,13 +84,13 @@ CREATE INDEX revision_mine ON revision (author, at, task);
 CREATE INDEX revision_author ON revision (author, state, at);
 CREATE INDEX revision_at ON revision (state, at);
 
--- A decision.
+-- A decision. `authors` are those whose answers it concerned at that time, each between bars: `|3|5|`.
 CREATE TABLE review (
   seq BIGINT PRIMARY KEY,
   task BIGINT NOT NULL,
   reviewer BIGINT NOT NULL,
   decision TEXT NOT NULL,
-  author BIGINT,
+  authors TEXT NOT NULL,
   comment TEXT NOT NULL,
   at BIGINT NOT NULL,
   rule TEXT

@@ -6,6 +6,7 @@ use super::db::{Params, Result, Tx, params, unreadable};
 use super::entry::Body;
 use super::filter::{Values, like};
 use super::project;
+use super::projections::concerns as concerns_answer;
 use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, Reject, ShelfFilter,
     TaskDetail, TaskRecord, Who,
@@ -217,11 +218,13 @@ impl Store {
 
     /// Weeks with their counts, without figures of agreement. `bounds` holds their starts and the end of the last one.
     pub fn weeks(&self, bounds: &[Millis]) -> Result<Vec<Week>> {
-        let sql = "SELECT CAST(?1 AS BIGINT), COUNT(CASE WHEN e.kind = 'submitted' THEN 1 END),
+        let sql = "SELECT CAST(?1 AS BIGINT),
+               (SELECT CAST(COALESCE(SUM(w.answers), 0) AS BIGINT) FROM work w JOIN task t ON t.id = w.task
+                WHERE w.at >= ?1 AND w.at < ?2 AND t.practice = 0),
                COUNT(CASE WHEN e.kind IN ('accepted', 'merged') THEN 1 END),
                COUNT(CASE WHEN e.kind = 'returned' THEN 1 END), NULL, NULL, 0
              FROM event e JOIN task t ON t.id = e.task
-             WHERE e.at >= ?1 AND e.at < ?2 AND e.kind IN ('submitted', 'accepted', 'merged', 'returned')
+             WHERE e.at >= ?1 AND e.at < ?2 AND e.kind IN ('accepted', 'merged', 'returned')
                AND t.practice = 0";
         self.read(|tx| {
             let weeks = bounds.windows(2);
@@ -232,17 +235,19 @@ impl Store {
 
     /// Totals of every person, without figures of quality.
     pub fn people(&self) -> Result<Vec<Person>> {
-        let sql = "SELECT u.id, u.name, u.role, u.active,
+        let returned = concerns_answer("u.id");
+        let sql = format!(
+            "SELECT u.id, u.name, u.role, u.active,
                (SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
                 WHERE r.author = u.id AND r.state <> 'draft' AND t.practice = 0), NULL,
                (SELECT COUNT(*) FROM revision WHERE author = u.id AND state = 'accepted'),
-               (SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = u.id
-                WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = u.id)), NULL, NULL,
+               (SELECT COUNT(*) FROM review v WHERE v.decision = 'returned' AND {returned}), NULL, NULL,
                (SELECT COUNT(*) FROM gold_score g JOIN task t ON t.id = g.task WHERE g.usr = u.id AND t.practice = 0),
                (SELECT AVG(g.score) FROM gold_score g JOIN task t ON t.id = g.task WHERE g.usr = u.id AND t.practice = 0),
                NULL, (SELECT at FROM event WHERE actor = u.id ORDER BY seq DESC LIMIT 1)
-             FROM usr u ORDER BY u.id";
-        self.read(|tx| tx.list(sql, &[]))
+             FROM usr u ORDER BY u.id"
+        );
+        self.read(|tx| tx.list(&sql, &[]))
     }
 
     /// Up to 1,000 leases that have not expired, the first to expire first.
@@ -299,31 +304,44 @@ pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answe
 pub(super) fn answers_ever(tx: &mut dyn Tx, task: i64) -> Result<Vec<Answer>> {
     let sql = "SELECT body FROM event WHERE task = ?1 AND kind IN ('imported', 'filled', 'submitted', 'merged')";
     let bodies: Vec<serde_json::Value> = tx.list(sql, params![task])?;
-    let answers = bodies.into_iter().map(|body| {
-        let body = serde_json::from_value(body).map_err(|error| unreadable("event", error))?;
-        Ok(match body {
-            Body::Imported { task } => task.accepted,
-            Body::Filled { answer, .. }
-            | Body::Submitted { answer, .. }
-            | Body::Merged { answer, .. } => Some(answer),
-            _ => None,
-        })
-    });
+    let answers = bodies.into_iter().map(answer_in);
     answers.filter_map(Result::transpose).collect()
 }
 
-/// The comment of the last decision of a kind on a user's answer to a task.
+/// The imported or merged answer that was accepted, if none was accepted after it. Once the task is reopened, only the log
+/// holds it.
+pub(super) fn former_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answer>> {
+    let sql = "SELECT body FROM event WHERE task = ?1 AND kind IN ('imported', 'filled', 'accepted', 'merged')
+         ORDER BY seq DESC LIMIT 1";
+    let body: Option<serde_json::Value> = tx.find(sql, params![task])?;
+    body.map_or(Ok(None), answer_in)
+}
+
+/// The answer in the body of a log entry.
+fn answer_in(body: serde_json::Value) -> Result<Option<Answer>> {
+    let body = serde_json::from_value(body).map_err(|error| unreadable("event", error))?;
+    Ok(match body {
+        Body::Imported { task } => task.accepted,
+        Body::Filled { answer, .. }
+        | Body::Submitted { answer, .. }
+        | Body::Merged { answer, .. } => Some(answer),
+        _ => None,
+    })
+}
+
+/// The comment of the last decision of a kind on a user's answer to a task. Dropping a task concerns everybody.
 pub(super) fn comment_to(
     tx: &mut dyn Tx,
     task: i64,
     user: i64,
     decision: &str,
 ) -> Result<Option<String>> {
-    tx.find(
-        "SELECT comment FROM review WHERE task = ?1 AND decision = ?3
-           AND (author IS NULL OR author = ?2) ORDER BY seq DESC LIMIT 1",
-        params![task, user, decision],
-    )
+    let sql = format!(
+        "SELECT v.comment FROM review v WHERE v.task = ?1 AND v.decision = ?3
+           AND (v.decision = 'dropped' OR {}) ORDER BY v.seq DESC LIMIT 1",
+        concerns_answer("?2")
+    );
+    tx.find(&sql, params![task, user.to_string(), decision])
 }
 
 /// Task details for a user who may see the task.

@@ -209,6 +209,8 @@ pub struct ReviewDetail {
     pub candidates: Vec<(Revision, String)>,
     /// Comments of earlier decisions, oldest first.
     pub comments: Vec<String>,
+    /// The imported or merged answer that was accepted before the task was reopened.
+    pub former: Option<Answer>,
 }
 
 /// A range of task keys in byte order: above `after`, up to and including `up_to`.

@@ -8,7 +8,7 @@ use super::log::Request;
 use super::records::{Millis, ReviewDetail, TaskRecord};
 use super::settings::has_up_to;
 use super::store::Store;
-use super::{apply, project, rows};
+use super::{apply, leases, project, read, rows};
 use crate::answer;
 use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
@@ -175,6 +175,7 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
         lease,
         candidates,
         comments: tx.list(sql, params![id])?,
+        former: read::former_answer(tx, id)?,
     })
 }
 
@@ -321,10 +322,14 @@ impl Deciding<'_> {
         let id = self.task.id;
         let (actor, epoch) = (Some(self.turn.user), Some(self.review.lease_epoch));
         let entry = Entry::new(self.turn.now, actor, Some(id), epoch, body);
-        self.request.log(tx, &entry, 0, |tx, seq| {
+        let done = self.request.log(tx, &entry, 0, |tx, seq| {
             let state = rows::task(tx, id)?.state;
             Ok(ReviewDone { seq, state })
-        })
+        })?;
+        // The next entry can only be written after this one is stored.
+        leases::free_of_the_disabled(tx, id, actor, self.turn.now)?;
+        let state = rows::task(tx, id)?.state;
+        Ok(ReviewDone { state, ..done })
     }
 }
 

@@ -71,16 +71,16 @@ fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
          FROM task WHERE kind = ?1 AND gold IS NULL",
         params![kind],
     )?;
-    let (answers, reviews, secs, first): (i64, i64, f64, Option<Millis>) = tx.get(
+    let (answers, reviews, secs, [first, first_review]): (i64, i64, f64, [Option<Millis>; 2]) = tx.get(
         "SELECT CAST(COALESCE(SUM(w.answers), 0) AS BIGINT), CAST(COALESCE(SUM(w.reviews), 0) AS BIGINT),
-           CAST(COALESCE(SUM(w.secs), 0) AS DOUBLE PRECISION), MIN(w.at)
+           CAST(COALESCE(SUM(w.secs), 0) AS DOUBLE PRECISION), MIN(CASE WHEN w.answers > 0 THEN w.at END),
+           MIN(CASE WHEN w.reviews > 0 THEN w.at END)
          FROM work w JOIN task t ON t.id = w.task WHERE w.at >= ?1 AND t.kind = ?2 AND t.gold IS NULL",
         params![recent, kind],
     )?;
     // If the work began within these days, the pace is measured from then on, over at least one day.
     let age = |first: Millis| ((now - first) as f64 / DAY as f64).max(1.0);
-    let days = first.map_or(1.0, age);
-    let pace = answers as f64 / days;
+    let pace = answers as f64 / first.map_or(1.0, age);
     let mut times: Vec<f64> = tx.list(
         "SELECT secs FROM revision r JOIN task t ON t.id = r.task
          WHERE r.state <> 'draft' AND t.kind = ?1 AND r.at >= ?2 AND t.gold IS NULL",
@@ -93,7 +93,7 @@ fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
         answers_left,
         reviews_left,
         answers_per_day: pace,
-        reviews_per_day: reviews as f64 / days,
+        reviews_per_day: reviews as f64 / first_review.map_or(1.0, age),
         secs_per_answer: (answers > 0).then(|| secs / answers as f64),
         hours_left: median_secs.map(|secs| secs * answers_left as f64 / 3600.0),
         days_left,

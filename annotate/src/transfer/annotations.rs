@@ -6,9 +6,8 @@ use std::path::Path;
 use datasets_spec::table::read_rows;
 use datasets_spec::{BodyPart, MASK_DEF_VERSION};
 
-use super::import::{
-    CANDIDATE, PAIR, Taken, credit, entered_mask, known_motions, other_content, task,
-};
+use super::import::{Taken, credit, entered_mask, known_motions, other_content};
+use super::keys::{CANDIDATE, PAIR, task};
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::Fields;

@@ -3,14 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::record::{
-    CAPTION_BY_RULE, ExportedLabels, MaskRow, MotionRow, PairRow, range_of,
-};
-use datasets_spec::table::{Caption, Row, read_column};
-use datasets_spec::{BlendMask, Dataset, MotionId, Split};
+use datasets_spec::record::{ExportedLabels, MaskRow, PairRow, range_of};
+use datasets_spec::{BlendMask, Dataset, MotionId};
 use serde::Serialize;
 use tables::Condition;
 
+use super::clips::{Clip, candidates, clips};
+use super::keys::{PAIR_SOURCE, mask_key, pair_key, task};
 use crate::Error;
 use crate::answer::{Fields, completion};
 use crate::mask::entered;
@@ -19,16 +18,10 @@ use crate::wire::{
     Answer, BUNDLE, Code, EditType, MaskAnswer, SuggestionSource, TaskKind, Verdict,
 };
 
-/// Value of column `source` for pairs written by this program.
-pub(crate) const PAIR_SOURCE: &str = "annotate";
 /// Prefix of column `source` for pairs of `stance variants`.
 const VARIANT_SOURCE: &str = "variants-";
 /// Fact of the manifest of a dataset that `stance variants` made.
 const VARIANTS_FACT: &str = "variants";
-/// Prefix of the key of a candidate pair, and of its id in table `pairs`.
-pub(super) const CANDIDATE: &str = "takes:";
-/// Prefix of the key of other pairs, followed by the id of the pair.
-pub(super) const PAIR: &str = "pair:";
 /// Maximum number of conflicts, and of tasks about other clips, that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
@@ -104,28 +97,6 @@ impl Taken {
     }
 }
 
-pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTask {
-    NewTask {
-        key,
-        kind,
-        source: motion.hash.clone(),
-        target: None,
-        split: motion.split.clone(),
-        bundle: None,
-        bundle_index: 0,
-        category: motion.action.clone(),
-        hint: None,
-        style: None,
-        edit_type: None,
-        priority: 0,
-        gold: None,
-        extra: None,
-        suggestions: Vec::new(),
-        accepted: None,
-        credit: None,
-    }
-}
-
 /// Why labels of a motion are refused whose content in the dataset is not the exported one.
 pub(super) fn other_content(hash: &str, exported: &str) -> String {
     format!(
@@ -138,87 +109,6 @@ pub(super) fn other_content(hash: &str, exported: &str) -> String {
 pub(super) fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
     let motions = store.all_motions()?.into_iter();
     Ok(motions.map(|motion| (motion.id.clone(), motion)).collect())
-}
-
-pub(super) fn mask_key(motion: &str) -> String {
-    format!("mask:{motion}")
-}
-
-/// Key of the task of a pair. A candidate keeps its key when its acceptance has put it into table `pairs`.
-fn pair_key(pair: &PairRow) -> String {
-    if pair.source == PAIR_SOURCE {
-        key_of_pair(&pair.id)
-    } else {
-        format!("{PAIR}{}", pair.id)
-    }
-}
-
-/// Key of the task of a pair that this program wrote; the reverse of [`pair_id`].
-pub(super) fn key_of_pair(id: &str) -> String {
-    if id.starts_with(CANDIDATE) {
-        id.to_owned()
-    } else {
-        format!("{PAIR}{id}")
-    }
-}
-
-/// Id in table `pairs` of the pair that a task with this key judges.
-pub(super) fn pair_id(key: &str) -> &str {
-    key.strip_prefix(PAIR).unwrap_or(key)
-}
-
-struct Clip {
-    record: MotionRecord,
-    source_clip: String,
-    mirrored: bool,
-}
-
-/// Captions stated by the source. Texts made from file names are excluded, because people would take them for captions.
-fn stated(captions: &[Caption], origins: Option<&Vec<String>>) -> Vec<String> {
-    let origin = |index: usize| origins.and_then(|origins| origins.get(index));
-    let captions = captions.iter().enumerate();
-    captions
-        .filter(|(index, _)| origin(*index).is_none_or(|origin| origin != CAPTION_BY_RULE))
-        .map(|(_, caption)| caption.text.clone())
-        .collect()
-}
-
-/// Columns of the motions, without their frames.
-fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
-    let mut clips = Vec::new();
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let ids: Vec<MotionId> = read_column::<MotionRow, _>(&path, "id")?;
-        let splits: Vec<Split> = read_column::<MotionRow, _>(&path, "split")?;
-        let hashes: Vec<String> = read_column::<MotionRow, _>(&path, "content_hash")?;
-        let frames: Vec<i32> = read_column::<MotionRow, _>(&path, "n_frames")?;
-        let fps: Vec<f32> = read_column::<MotionRow, _>(&path, "fps")?;
-        let captions: Vec<Vec<Caption>> = read_column::<MotionRow, _>(&path, "captions")?;
-        // Tables older than 1.5.0 have no origins.
-        let origins: Vec<Vec<String>> =
-            read_column::<MotionRow, _>(&path, "caption_origins").unwrap_or_default();
-        let styles: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "style")?;
-        let actions: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "action")?;
-        let mirrored: Vec<Option<String>> = read_column::<MotionRow, _>(&path, "mirrored_of")?;
-        for index in 0..ids.len() {
-            let id = ids[index].as_str().to_owned();
-            clips.push(Clip {
-                source_clip: ids[index].source_clip().to_owned(),
-                mirrored: mirrored[index].is_some() || id.ends_with("~m"),
-                record: MotionRecord {
-                    hash: hashes[index].clone(),
-                    id,
-                    split: splits[index].to_string(),
-                    frames: frames[index].into(),
-                    fps: fps[index].into(),
-                    captions: stated(&captions[index], origins.get(index)),
-                    style: styles[index].clone(),
-                    action: actions[index].clone(),
-                },
-            });
-        }
-    }
-    clips.sort_by(|a, b| a.record.id.cmp(&b.record.id));
-    Ok(clips)
 }
 
 /// Creates the tasks of a dataset: a mask task for each clip that is neither a mirrored copy nor a variant of another
@@ -672,60 +562,6 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
         merged,
         accepted_by: accepted_by.map(str::to_owned),
     })
-}
-
-/// Tasks of candidate pairs, by the name of their bundles. The clips of an action and split are sorted by style, and
-/// each is paired with the next. Two clips are judged only once: `known` are the pairs of the dataset and those that
-/// people rejected in any project, which are no candidates.
-fn candidates(
-    store: &Store,
-    chosen: &[&Clip],
-    known: &BTreeSet<(&str, &str)>,
-) -> Result<BTreeMap<String, Vec<NewTask>>, Error> {
-    let judged: BTreeMap<(String, String), String> = store
-        .pairs()?
-        .into_iter()
-        .map(|(key, source, target)| ((source, target), key))
-        .collect();
-    let is_new = |source: &MotionRecord, target: &MotionRecord| {
-        let judged = judged.get(&(source.hash.clone(), target.hash.clone()));
-        !known.contains(&(source.id.as_str(), target.id.as_str()))
-            && judged.is_none_or(|key| *key == candidate_key(source, target))
-    };
-    let mut groups: BTreeMap<(&str, &str), Vec<&Clip>> = BTreeMap::new();
-    for &clip in chosen.iter().filter(|clip| !clip.mirrored) {
-        if let Some(action) = &clip.record.action {
-            let group = (clip.record.split.as_str(), action.as_str());
-            groups.entry(group).or_default().push(clip);
-        }
-    }
-    let mut takes: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
-    for ((split, action), mut group) in groups {
-        group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));
-        let tasks: Vec<NewTask> = group
-            .windows(2)
-            .filter(|pair| pair[0].source_clip != pair[1].source_clip)
-            .map(|pair| (&pair[0].record, &pair[1].record))
-            .filter(|(source, target)| is_new(source, target))
-            .map(|(source, target)| {
-                let mut new = task(candidate_key(source, target), TaskKind::Pair, source);
-                new.target = Some(target.hash.clone());
-                new
-            })
-            .collect();
-        // Actions with few takes share bundles within their split, so that bundles are not too small.
-        let place = if tasks.len() < BUNDLE {
-            format!("takes {split}")
-        } else {
-            format!("takes {split} {action}")
-        };
-        takes.entry(place).or_default().extend(tasks);
-    }
-    Ok(takes)
-}
-
-fn candidate_key(source: &MotionRecord, target: &MotionRecord) -> String {
-    format!("{CANDIDATE}{}|{}", source.id, target.id)
 }
 
 /// Puts pairs into bundles of eight of the same split.

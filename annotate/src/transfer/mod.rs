@@ -1,8 +1,10 @@
 //! Import of tasks and annotations, and export of answers.
 
 mod annotations;
+mod clips;
 mod export;
 mod import;
+mod keys;
 mod release;
 mod tables;
 

@@ -11,7 +11,8 @@ use datasets_spec::BodyPart;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use super::import::{Taken, credit, key_of_pair, known_motions, mask_key, task};
+use super::import::{Taken, credit, known_motions};
+use super::keys::{key_of_pair, mask_key, task};
 use crate::Error;
 use crate::answer::{Fields, check_draft};
 use crate::store::{Millis, MotionRecord, NewTask, Store};

@@ -65,7 +65,7 @@ pub const MAX_EVENTS: usize = 64;
 /// Maximum bytes of a request body, except imports.
 pub const MAX_BODY_BYTES: usize = 256 * 1024;
 /// Maximum bytes of the settings, which hold the guidelines of all styles, and of a capture plan.
-pub const MAX_SETTINGS_BYTES: usize = 8 * 1024 * 1024;
+pub const MAX_SETTINGS_BYTES: usize = 16 * 1024 * 1024;
 /// Maximum bytes of the body of an import.
 pub const MAX_IMPORT_BYTES: usize = 64 * 1024 * 1024;
 /// Maximum bytes of a picture of the guide.

@@ -454,6 +454,8 @@ names! {
         TaskFull = "task_full",
         /// 409: the task's state does not allow it.
         WrongState = "wrong_state",
+        /// 409: somebody changed the setting after you read it; `field` names it.
+        SettingChanged = "setting_changed",
         /// 409: the same `idem_key` was used for something else.
         KeyReused = "key_reused",
         /// 429: too many requests; `retry_after_secs` says when to retry.

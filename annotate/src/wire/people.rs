@@ -81,7 +81,7 @@ messages! {
         pub colour: Option<String>,
     }
 
-    /// `GET`/`PUT settings`.
+    /// `GET settings`.
     #[serde(deny_unknown_fields)]
     pub struct Settings {
         pub name: String,
@@ -147,6 +147,15 @@ messages! {
         /// every export.
         #[serde(default)]
         pub solo: bool,
+    }
+
+    /// `PUT settings`: fields that differ between `was` and `now` are changed, if the store still has them as they were.
+    #[serde(deny_unknown_fields)]
+    pub struct SettingsChange {
+        /// The settings as the client read them.
+        pub was: Settings,
+        /// The settings as the client wants them.
+        pub now: Settings,
     }
 
     /// `GET`/`PUT prefs`. Keys are the `KeyboardEvent.code` values that [`super::KEY_CODES`] lists, with `Ctrl+`,
@@ -234,7 +243,14 @@ messages! {
         pub forms: BTreeMap<TaskKind, TextForm>,
     }
 
-    /// Guidelines of a kind of task. `GET`/`PUT guide/{kind}`.
+    /// `PUT guide/{kind}`: the guidelines as the client read them, and as it wants them.
+    #[serde(deny_unknown_fields)]
+    pub struct GuideChange {
+        pub was: KindGuide,
+        pub now: KindGuide,
+    }
+
+    /// Guidelines of a kind of task.
     #[derive(Default)]
     #[serde(deny_unknown_fields, default)]
     pub struct KindGuide {

@@ -53,6 +53,8 @@ messages! {
         pub suggestions: Vec<Suggestion>,
         /// Whether the clip was ingested again, with other content, after the answers were written.
         pub clip_changed: bool,
+        /// The imported or merged answer that was accepted before the task was reopened.
+        pub former: Option<Answer>,
     }
 
     /// An answer to review.
@@ -213,9 +215,7 @@ messages! {
         pub reviewer: i64,
         /// Name of the reviewer; empty for a rule.
         pub reviewer_name: String,
-        /// The author whose answer was accepted or sent back; `null` if the decision concerns all authors.
-        pub author: Option<i64>,
-        /// Names of the authors that the decision concerns.
+        /// Names of the authors whose answers the decision concerned.
         pub authors: Vec<String>,
         /// The rule that accepted the task, or whose acceptance was taken back.
         pub rule: Option<String>,

@@ -376,12 +376,30 @@ fn an_admin_adds_people_changes_settings_and_reads_the_log() {
     let promotion = Some(&br#"{"role":"reviewer"}"#[..]);
     let changed: User = boss.call("PATCH", &user, promotion).ok();
     assert_eq!(changed.role, Role::Reviewer);
-    let mut settings: Settings = boss.get("settings").ok();
+    let was: Settings = boss.get("settings").ok();
+    let mut settings = was.clone();
     settings.min_masks = 1;
-    let kept: Settings = boss.put("settings", &settings).ok();
+    let kept: Settings = boss.put_settings(&was, &settings).ok();
     assert_eq!(kept, settings);
     settings.gold_percent = 200;
-    assert_eq!(boss.put("settings", &settings).code(), Code::Invalid);
+    let refused = boss.put_settings(&kept, &settings);
+    assert_eq!(refused.code(), Code::Invalid);
+    // Two people who changed the settings that they read before keep both changes, unless it is the same setting.
+    let change = |text: &str, of: fn(&mut Settings) -> &mut String| {
+        let mut now = was.clone();
+        text.clone_into(of(&mut now));
+        boss.put_settings(&was, &now)
+    };
+    let kept: Settings = change("Gaits", |settings| &mut settings.name).ok();
+    assert_eq!((kept.min_masks, kept.name.as_str()), (1, "Gaits"));
+    let refused = change("Runs", |settings| &mut settings.name).problem();
+    let said = (refused.code, refused.field.as_deref());
+    assert_eq!(said, (Code::SettingChanged, Some("name")));
+    let kept: Settings = change("Be quick.", |settings| &mut settings.guide).ok();
+    assert_eq!(
+        (kept.name.as_str(), kept.guide.as_str()),
+        ("Gaits", "Be quick.")
+    );
     let audit: Audit = boss.get("audit?kind=role_changed&limit=2").ok();
     assert_eq!(audit.entries.len(), 2);
     assert!(audit.next.is_some());

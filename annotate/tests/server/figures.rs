@@ -15,7 +15,7 @@ use annotate::store::{Store, TaskDetail, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
     Answer, DayWork, Decision, EventKind, Funnel, Me, NewEvent, NewReview, ReviewQueue, Role, Rule,
-    RuleKind, Settings, TaskKind, Verdict,
+    RuleKind, Settings, SettingsChange, TaskKind, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
@@ -169,7 +169,8 @@ impl Team {
     fn new(store: Arc<Store>, root: &Path, begin: i64) -> Self {
         let user = |name: &str, role| store.add_user(None, name, role, begin).expect("a user").id;
         let admin = user("ines", Role::Admin);
-        let settings = Settings {
+        let was = store.settings().expect("settings");
+        let now = Settings {
             name: "Reference motions".to_owned(),
             time_zone: "Europe/Berlin".to_owned(),
             answers_per_task: 2,
@@ -182,10 +183,11 @@ impl Team {
                 review_percent: 10,
                 ..rule("both-reject", RuleKind::Rejects)
             }],
-            ..store.settings().expect("settings")
+            ..was.clone()
         };
+        let change = SettingsChange { was, now };
         store
-            .put_settings(admin, settings, begin)
+            .change_settings(admin, change, begin)
             .expect("settings");
         from_dataset(&store, root, None, begin, &mut |_, _| {}).expect("imports");
         let annotators = [

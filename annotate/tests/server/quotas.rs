@@ -109,9 +109,10 @@ fn everybody_is_told_what_is_wanted_of_each_edit_type() {
     };
     let speed = count(EditType::Speed, 0, 40);
     assert_eq!(told(), [count(EditType::Amplitude, 2, 1), speed]);
-    let mut settings: Settings = boss.get("settings").ok();
+    let was: Settings = boss.get("settings").ok();
+    let mut settings = was.clone();
     settings.edit_type_quota.insert(EditType::Other, u32::MAX);
-    let refused = boss.put("settings", &settings).problem();
+    let refused = boss.put_settings(&was, &settings).problem();
     let said = (refused.code, refused.field.as_deref());
     assert_eq!(said, (Code::Invalid, Some("edit_type_quota")));
 }

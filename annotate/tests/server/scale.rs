@@ -775,7 +775,7 @@ fn the_routes_of_a_large_project_answer_as_documented() {
 
 #[test]
 fn the_guide_has_guidelines_and_pictures_of_each_kind() {
-    use annotate::wire::{Guide, KindGuide, Me, PictureInfo, TextForm};
+    use annotate::wire::{Guide, GuideChange, KindGuide, Me, PictureInfo, TextForm};
 
     let site = Site::new();
     let [ann, boss] = site.people(["ann", "boss"]);
@@ -796,11 +796,26 @@ fn the_guide_has_guidelines_and_pictures_of_each_kind() {
     let seen = ann.get("guide/pictures/right.png");
     assert_eq!(seen.body, png);
     assert_eq!(seen.header("content-type"), Some("image/png"));
-    let changed = json!({
+    let changed: KindGuide = from_json(json!({
         "text": "Say what differs.",
         "pictures": [{ "name": "right.png", "caption": "an arm", "right": true }],
-    });
-    let changed: KindGuide = boss.put("guide/pair", &changed).ok();
+    }));
+    let change = |was: &KindGuide, now: &KindGuide| {
+        let (was, now) = (was.clone(), now.clone());
+        boss.put("guide/pair", &GuideChange { was, now })
+    };
+    let before = guide
+        .kinds
+        .get(&TaskKind::Pair)
+        .cloned()
+        .unwrap_or_default();
+    let changed: KindGuide = change(&before, &changed).ok();
+    // Somebody who read the guide before is told, and nothing is overwritten.
+    let late = KindGuide {
+        text: "Be quick.".to_owned(),
+        ..before.clone()
+    };
+    assert_eq!(change(&before, &late).code(), Code::SettingChanged);
     let guide: Guide = ann.get("guide").ok();
     assert_eq!(guide.kinds[&TaskKind::Pair], changed);
     assert!(guide.kinds[&TaskKind::Style].text.contains("proudly"));

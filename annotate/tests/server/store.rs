@@ -322,6 +322,14 @@ impl Fixture {
         assert_eq!(self.judge(Decision::Return), task);
     }
 
+    /// Disables a user.
+    fn leave(&self, user: i64) {
+        let left = self
+            .store
+            .change_user(None, user, None, Some(false), self.now());
+        left.expect("leaves");
+    }
+
     /// Gives back the lease that a user holds on a task.
     fn give_back(&self, user: i64, task: i64) {
         let lease = self.lease(user, task).id;
@@ -443,6 +451,11 @@ fn an_answer_can_be_taken_back_until_it_is_reviewed() {
         assert_eq!(site.claim(site.bob), None, "the place is still mine");
         let again = event(EventKind::Submit, epoch, 2, masks("better"));
         assert_eq!(site.send(site.ann, task, again).status, 200);
+        // By day and week, an answer counts once, however often it was handed in.
+        let end = site.now() + DAY;
+        let days = site.store.work(0, end).expect("days");
+        let weeks = site.store.weeks(&[0, end]).expect("weeks");
+        assert_eq!((days[0].answers, weeks[0].submitted), (1, 1));
         let (reviewed, lease) = site.review();
         assert_eq!(reviewed, task);
         let late = site.send(site.ann, task, event(EventKind::Undo, 0, 3, None));
@@ -478,8 +491,37 @@ fn reviewers_do_not_judge_their_own_work_and_decisions_can_be_undone() {
         assert!(accepted[0].merged && accepted[0].answer == masks("merged"));
         other.reopen(task);
         assert!(site.accepted().is_empty());
+        // Only the log still has the merged answer; reviewers see it.
+        let review = other.store.review_task(other.eve, task, START);
+        assert_eq!(review.expect("claims").former, Some(masks("merged")));
         other.judge(Decision::Drop);
         assert_eq!(site.state(task), TaskState::Dropped);
+    });
+}
+
+#[test]
+fn a_return_concerns_those_who_had_answered_then_and_reserves_nothing_for_people_who_left() {
+    each("returned_to", Vec::new(), |site| {
+        site.set(|settings| settings.answers_per_task = 2);
+        site.import(mask_tasks(1));
+        let task = site.answer(site.ann, "one");
+        site.answer(site.bob, "another");
+        site.leave(site.bob);
+        site.send_back(task);
+        let holders = site.store.leases(site.now()).expect("leases");
+        let holders: Vec<i64> = holders.iter().map(|held| held.lease.user).collect();
+        assert_eq!(holders, [site.ann]);
+        let zoe = site.join("zoe", Role::Annotator);
+        assert_eq!(site.answer(zoe, "a third"), task);
+        assert_eq!(site.detail(zoe, task).comment, None);
+        let people = site.store.people().expect("people");
+        let returned = |user: i64| {
+            let found = people.iter().find(|person| person.user.id == user);
+            found.expect("a person").returned
+        };
+        assert_eq!([site.ann, site.bob, zoe].map(returned), [1, 1, 0]);
+        let decisions = site.store.task_row(task).expect("a task").1;
+        assert_eq!(decisions[0].authors, ["ann", "bob"]);
     });
 }
 

@@ -110,18 +110,19 @@ fn a_new_style_is_proposed_with_an_answer_and_taken_by_who_accepts_it() {
 fn guidelines_reach_annotators_and_may_be_long() {
     let site = Site::new();
     let [ann, boss] = site.people(["ann", "boss"]);
-    let mut settings: Settings = boss.get("settings").ok();
+    let was: Settings = boss.get("settings").ok();
+    let mut settings = was.clone();
     settings.styles.extend((0..40).map(|number| Style {
         guideline: "Bend the knees, and keep them bent.\n\nDo not limp.".repeat(150),
         ..Style::named(&format!("style {number}"))
     }));
     let body = serde_json::to_vec(&settings).expect("JSON");
     assert!(body.len() > annotate::wire::MAX_BODY_BYTES);
-    let saved: Settings = boss.put("settings", &settings).ok();
+    let saved: Settings = boss.put_settings(&was, &settings).ok();
     assert_eq!(saved, settings);
     let me: Me = ann.get("me").ok();
     assert_eq!(me.project.styles, settings.styles);
     settings.styles[0].guideline = "x".repeat(annotate::wire::MAX_GUIDELINE_CHARS + 1);
-    let refused = boss.put("settings", &settings).problem();
+    let refused = boss.put_settings(&saved, &settings).problem();
     assert!(refused.detail.contains("guideline"), "{}", refused.detail);
 }

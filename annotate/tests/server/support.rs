@@ -13,8 +13,8 @@ use annotate::store::{
 use annotate::transfer::from_dataset;
 use annotate::wire::{
     Answer, Code, Decision, EditType, EventKind, EventResult, EventResults, NewEvent, NewReview,
-    Next, Problem, ReviewNext, ReviewQueue, ReviewView, Role, Rule, RuleKind, Settings, TaskKind,
-    TaskView, User, Verdict,
+    Next, Problem, ReviewNext, ReviewQueue, ReviewView, Role, Rule, RuleKind, Settings,
+    SettingsChange, TaskKind, TaskView, User, Verdict,
 };
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
@@ -296,9 +296,11 @@ pub(crate) fn plain_settings(store: &Store) {
 }
 
 pub(crate) fn set(store: &Store, change: impl FnOnce(&mut Settings)) {
-    let mut settings = store.settings().expect("settings");
-    change(&mut settings);
-    store.put_settings(ROOT, settings, START).expect("settings");
+    let was = store.settings().expect("settings");
+    let mut now = was.clone();
+    change(&mut now);
+    let changed = store.change_settings(ROOT, SettingsChange { was, now }, START);
+    changed.expect("settings");
 }
 
 /// A rule that accepts equal answers of one person or more, and leaves none to reviewers.
@@ -437,6 +439,15 @@ impl Client {
     pub(crate) fn put<T: Serialize>(&self, path: &str, body: &T) -> Answered {
         let body = serde_json::to_vec(body).expect("JSON");
         self.call("PUT", path, Some(&body))
+    }
+
+    /// Asks for the change of the settings from `was` to `now`.
+    pub(crate) fn put_settings(&self, was: &Settings, now: &Settings) -> Answered {
+        let change = SettingsChange {
+            was: was.clone(),
+            now: now.clone(),
+        };
+        self.put("settings", &change)
     }
 
     pub(crate) fn delete(&self, path: &str) -> Answered {

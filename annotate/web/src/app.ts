@@ -265,9 +265,14 @@ export class App {
       .then((opening) => this.askLogin(opening))
       .then((me) => {
         // Another user or project has logged in: reload, so that the previous user's events are not sent.
-        if (this.me && (me.user.id !== this.me.user.id || me.store !== this.me.store)) window.location.reload();
+        if (this.me && (me.user.id !== this.me.user.id || me.store !== this.me.store)) {
+          window.location.reload();
+          // The script runs on until the page is gone: waiting requests must not be sent as this user.
+          return new Promise<void>(() => {});
+        }
         this.me = me;
         void this.outbox?.flush();
+        return undefined;
       })
       .finally(() => {
         this.login = null;

@@ -49,12 +49,12 @@ export const BULK_ACTIONS: readonly BulkAction[] = [
 ];
 
 /** The code of a problem, with a meaning and a status. Codes are stable; texts are not. */
-export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "wrong_host" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
+export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "wrong_host" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "setting_changed" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
 export const CODES: readonly Code[] = [
   "unauthenticated", "forbidden", "csrf", "wrong_origin", "wrong_host", "own_work", "not_found",
   "method_not_allowed", "bad_request", "too_large", "invalid", "mask_count", "stale_revision", "lease_lost",
-  "task_full", "wrong_state", "key_reused", "rate_limited", "no_model", "model_failed", "timeout", "read_only",
-  "internal",
+  "task_full", "wrong_state", "setting_changed", "key_reused", "rate_limited", "no_model", "model_failed",
+  "timeout", "read_only", "internal",
 ];
 
 /** Reason for fewer or more masks than the project wants. */
@@ -338,7 +338,6 @@ export type DecisionRow = {
   decision: string,
   reviewer: number,
   reviewer_name: string,
-  author: number | null,
   authors: Array<string>,
   rule: string | null,
   comment: string,
@@ -415,6 +414,11 @@ export type Guide = {
   kinds: { [key in TaskKind]?: KindGuide },
   forms: { [key in TaskKind]?: TextForm }, };
 
+/** `PUT guide/{kind}`: the guidelines as the client read them, and as it wants them. */
+export type GuideChange = {
+  was: KindGuide,
+  now: KindGuide, };
+
 /** A picture of a right or a wrong answer. */
 export type GuidePicture = {
   name: string,
@@ -467,7 +471,7 @@ export type JointChoice = {
   joint: string,
   weight: JointWeight, };
 
-/** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
+/** Guidelines of a kind of task. */
 export type KindGuide = {
   text: string,
   pictures: Array<GuidePicture>, };
@@ -738,7 +742,8 @@ export type ReviewView = {
   distance: number | null,
   comments: Array<string>,
   suggestions: Array<Suggestion>,
-  clip_changed: boolean, };
+  clip_changed: boolean,
+  former: Answer | null, };
 
 /** The current answer of a user to a task. */
 export type Revision = {
@@ -780,7 +785,7 @@ export type RulesApplied = {
   accepted: { [key in string]: number },
   next: number | null, };
 
-/** `GET`/`PUT settings`. */
+/** `GET settings`. */
 export type Settings = {
   name: string,
   answers_per_task: number,
@@ -808,6 +813,11 @@ export type Settings = {
   practice_tasks: number,
   practice_percent: number,
   solo: boolean, };
+
+/** `PUT settings`: fields that differ between `was` and `now` are changed, if the store still has them as they were. */
+export type SettingsChange = {
+  was: Settings,
+  now: Settings, };
 
 /** `GET shelf`: accepted answers. */
 export type Shelf = {

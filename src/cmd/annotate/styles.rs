@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use annotate::store::Store;
-use annotate::wire::Style;
+use annotate::wire::{SettingsChange, Style};
 use serde::{Deserialize, Serialize};
 
 use super::shared::now;
@@ -28,6 +28,7 @@ pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> any
         };
         return global.say(&list.style, toml::to_string(&list)?.trim_end());
     };
+    let was = project.clone();
     let told: StyleFile = settings::read(file)?;
     let (mut new, mut changed) = (0, 0);
     for style in told.style {
@@ -48,7 +49,8 @@ pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> any
     }
     let all = project.styles.len();
     if new + changed > 0 {
-        store.put_settings(operator(store)?.id, project, now())?;
+        let change = SettingsChange { was, now: project };
+        store.change_settings(operator(store)?.id, change, now())?;
     }
     global.say(
         &serde_json::json!({ "styles": all, "new": new, "changed": changed }),

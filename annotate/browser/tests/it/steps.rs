@@ -104,7 +104,8 @@ impl Desk {
 
     pub(crate) fn set(&self, change: Value) {
         let settings = self.ask("boss", "GET", "settings", Value::Null);
-        self.ask("boss", "PUT", "settings", with(settings, change));
+        let change = json!({ "was": settings, "now": with(settings.clone(), change) });
+        self.ask("boss", "PUT", "settings", change);
     }
 
     /// Claims the next task of a kind for a person, and returns its view.

@@ -12,7 +12,7 @@ use crate::wire::{CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, TokenSh
 const TOKEN_DAYS: u32 = 90;
 
 pub(super) fn put_settings(cx: &Context) -> Result<Response, Error> {
-    cx.store().put_settings(cx.user()?, cx.body()?, cx.now)?;
+    cx.store().change_settings(cx.user()?, cx.body()?, cx.now)?;
     json(&cx.store().settings()?)
 }
 

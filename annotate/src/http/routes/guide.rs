@@ -4,7 +4,7 @@ use axum::response::Response;
 
 use crate::Error;
 use crate::http::app::{Context, content, empty, json};
-use crate::wire::{Guide, KindGuide, TaskKind};
+use crate::wire::{Guide, GuideChange, TaskKind};
 
 pub(super) fn guide(cx: &Context) -> Result<Response, Error> {
     let settings = cx.store().settings()?;
@@ -20,9 +20,9 @@ pub(super) fn guide(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn put_guide(cx: &Context) -> Result<Response, Error> {
     let kind = TaskKind::parse(cx.param("kind")).ok_or_else(|| Error::not_found("kind of task"))?;
-    let guide: KindGuide = cx.body()?;
-    cx.store()
-        .put_guide(cx.user()?, kind, guide.clone(), cx.now)?;
+    let change: GuideChange = cx.body()?;
+    let guide = change.now.clone();
+    cx.store().change_guide(cx.user()?, kind, change, cx.now)?;
     json(&guide)
 }
 

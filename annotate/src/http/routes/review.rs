@@ -46,6 +46,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Response, Error> {
             comments: detail.comments,
             suggestions,
             clip_changed,
+            former: detail.former,
         }),
         empty: None,
     })

@@ -14,7 +14,7 @@ use crate::Error;
 use crate::answer::{completion, sentence};
 use crate::mask::check_range;
 use crate::store::AcceptedAnswer;
-use crate::transfer::import::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
+use crate::transfer::keys::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
 use crate::wire::{Answer, Extent, TaskKind};
 
 /// Facts of the manifest that name the store and the point in its log that the tables were exported from.

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 
 use super::exporter::Exporter;
 use crate::Error;
-use crate::transfer::import::pair_id;
+use crate::transfer::keys::pair_id;
 use crate::transfer::release;
 use crate::wire::{MaskAnswer, TaskKind};
 

@@ -30,6 +30,8 @@ export interface ReviewStage {
 export class ReviewPanel extends Component {
   private selected = 0;
   private merging: MaskEditor | PairEditor | null = null;
+  /** Whether the merge began with the answer that was accepted before. */
+  private fromFormer = false;
   private busy = false;
   /** The comment is kept until it is sent, even after a refusal. */
   private readonly comment = commentField();
@@ -69,7 +71,6 @@ export class ReviewPanel extends Component {
     if (this.merging) {
       const deeds: Deeds = {
         submit: () => this.commitMerge(),
-        stage: () => document.activeElement?.tagName !== "TEXTAREA" && this.endMerge(),
       };
       return perform(deeds, id) || this.merging.perform(id);
     }
@@ -165,10 +166,12 @@ export class ReviewPanel extends Component {
     await this.decide(decision, { comment: this.comment.value.trim(), author });
   }
 
-  private merge(): void {
-    const chosen = this.candidate?.revision.answer;
+  /** Begins a merge with `former`, or with the unfinished merge, or with the selected answer. */
+  private merge(former: Answer | null = null): void {
+    const chosen = former ?? this.candidate?.revision.answer;
     if (!chosen) return;
-    const saved = kept<Answer>(this.kept);
+    this.fromFormer = former !== null;
+    const saved = former === null ? kept<Answer>(this.kept) : null;
     const start = saved?.kind === chosen.kind ? saved : chosen;
     const host = {
       change: (answer: Answer) => localStorage.setItem(this.kept, JSON.stringify(answer)),
@@ -222,6 +225,7 @@ export class ReviewPanel extends Component {
         ${this.review.clip_changed
           ? html`<div class="returned-note warn edged"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
           : nothing}
+        ${this.merging ? nothing : this.former()}
         ${this.merging
           ? this.mergeBox(this.merging)
           : answerCards(this.app, candidates, this.selected, (index) => this.select(index), {
@@ -230,6 +234,17 @@ export class ReviewPanel extends Component {
       </div>
       ${this.merging ? nothing : this.buttons()}
     `;
+  }
+
+  /** The imported or merged answer that was accepted before the task was reopened. */
+  private former(): TemplateResult | typeof nothing {
+    const { former } = this.review;
+    if (!former) return nothing;
+    return html`<section class="box former">
+      <strong>Accepted before this was reopened</strong>
+      <ul>${describe(this.app.parts, former).map((line) => html`<li>${line}</li>`)}</ul>
+      ${action("Begin with it", "", () => this.merge(former))}
+    </section>`;
   }
 
   private offered(): TemplateResult | typeof nothing {
@@ -242,7 +257,7 @@ export class ReviewPanel extends Component {
   }
 
   private mergeBox(editor: MaskEditor | PairEditor): TemplateResult {
-    const others = this.review.candidates.filter((_, index) => index !== this.selected);
+    const others = this.review.candidates.filter((_, index) => this.fromFormer || index !== this.selected);
     const lines = others.flatMap(({ revision, author_name }) => describe(this.app.parts, revision.answer).map((line) => html`<li>${author_name}: ${line}</li>`));
     return html`<div class="merge-box">
       <h2>Merge and edit</h2>

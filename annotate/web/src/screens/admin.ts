@@ -17,6 +17,7 @@ import {
   type Job,
   type Role,
   type Settings,
+  type SettingsChange,
   type TokenInfo,
   type TokenShown,
   type User,
@@ -202,19 +203,21 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   };
   show();
   const save = async (): Promise<void> => {
-    // Other pages may have changed the guide, rules, guidelines and styles since this page was opened.
-    const now = await app.api.get<Settings>("settings");
+    // Accepted answers append new styles to the project; the form keeps those that it does not show.
+    const stored = await app.api.get<Settings>("settings");
+    const was: Settings = { ...settings, styles: [...settings.styles, ...stored.styles.slice(settings.styles.length)] };
     const quotas = types.map(([type, own]) => [type, Number(own.value)] as const).filter(([, wanted]) => wanted !== 0);
-    const changed: Settings = {
-      ...now,
+    const now: Settings = {
+      ...was,
       name: name.value.trim(),
-      styles: styles.read(now.styles),
+      styles: styles.read(was.styles),
       edit_type_quota: Object.fromEntries(quotas),
       time_zone: zone.value.trim(),
     };
-    for (const [key, own] of numbers) changed[key] = Number(own.value);
-    for (const [key, own] of phrases) changed[key] = own.value.split("\n").map((item) => item.trim()).filter((item) => item !== "");
-    settings = await app.api.json<Settings>("PUT", "settings", changed);
+    for (const [key, own] of numbers) now[key] = Number(own.value);
+    for (const [key, own] of phrases) now[key] = own.value.split("\n").map((item) => item.trim()).filter((item) => item !== "");
+    const change: SettingsChange = { was, now };
+    settings = await app.api.json<Settings>("PUT", "settings", change);
     show();
     app.toasts.show("Settings are saved.");
   };

@@ -8,7 +8,7 @@ import { fill, h, type Child } from "../dom";
 import { formatGuide, kindGuide, pictureFigure, pictureName, picturePath } from "../guide";
 import { kept } from "../history";
 import { plainButton } from "../ui";
-import { TASK_KINDS, type Guide, type GuidePicture, type KindGuide, type PictureInfo, type Settings, type TaskKind } from "../wire";
+import { TASK_KINDS, type Guide, type GuideChange, type GuidePicture, type KindGuide, type PictureInfo, type Settings, type SettingsChange, type TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
 import { pageScreen, tabs } from "./frame";
 
@@ -29,16 +29,17 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
     guide = await app.api.get<Guide>("guide");
     draw();
   };
-  const open = (section: HTMLElement, of: TaskKind | null, title: string, start: KindGuide, save: (changed: KindGuide) => Promise<unknown>): void => {
-    const editor = new GuideEditor(app, of, title, start, (changed) => save(changed).then(reload), draw);
+  const open = (section: HTMLElement, of: TaskKind | null, title: string, start: KindGuide, save: (change: GuideChange) => Promise<unknown>): void => {
+    const editor = new GuideEditor(app, of, title, start, (change) => save(change).then(reload), draw);
     fill(section, editor);
   };
   const editKind = (): void =>
-    open(own, kind, KIND_WORDS[kind], guide.kinds[kind] ?? { text: "", pictures: [] }, (changed) => app.api.json("PUT", `guide/${kind}`, changed));
+    open(own, kind, KIND_WORDS[kind], guide.kinds[kind] ?? { text: "", pictures: [] }, (change) => app.api.json("PUT", `guide/${kind}`, change));
   const editAll = (): void =>
-    open(all, null, "For all tasks", { text: guide.text, pictures: [] }, async ({ text }) => {
+    open(all, null, "For all tasks", { text: guide.text, pictures: [] }, async ({ was, now }) => {
       const settings = await app.api.get<Settings>("settings");
-      await app.api.json<Settings>("PUT", "settings", { ...settings, guide: text });
+      const change: SettingsChange = { was: { ...settings, guide: was.text }, now: { ...settings, guide: now.text } };
+      await app.api.json<Settings>("PUT", "settings", change);
     });
   draw();
   const kinds = tabs(app, "Kinds of task", TASK_KINDS.map((known) => [`guide/${known}`, KIND_WORDS[known]] as const), `guide/${kind}`, "true");
@@ -48,6 +49,8 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 
 /** Text and pictures of a guide, with a preview. Unsaved text is kept in the browser. */
 class GuideEditor extends Component {
+  /** The guide as it was when its editing began, which may have been before the page was opened. */
+  private readonly base: KindGuide;
   private guide: KindGuide;
   private readonly kept: string;
   /**
@@ -62,20 +65,23 @@ class GuideEditor extends Component {
     private readonly kind: TaskKind | null,
     private readonly heading: string,
     start: KindGuide,
-    private readonly save: (changed: KindGuide) => Promise<void>,
+    private readonly save: (change: GuideChange) => Promise<void>,
     private readonly close: () => void,
   ) {
     super();
     this.classList.add("guide-editor");
     this.kept = app.keep(`guide:${kind ?? "all"}`);
-    this.guide = kept<KindGuide>(this.kept) ?? start;
+    const draft = kept<GuideChange>(this.kept);
+    this.base = draft?.was ?? start;
+    this.guide = draft?.now ?? start;
     this.touched = new Set([...start.pictures, ...this.guide.pictures].map((picture) => picture.name));
     this.focusOn("textarea");
   }
 
   private change(change: Partial<KindGuide>): void {
     this.guide = { ...this.guide, ...change };
-    localStorage.setItem(this.kept, JSON.stringify(this.guide));
+    const draft: GuideChange = { was: this.base, now: this.guide };
+    localStorage.setItem(this.kept, JSON.stringify(draft));
     this.requestUpdate();
   }
 
@@ -137,7 +143,7 @@ class GuideEditor extends Component {
   private async commit(): Promise<void> {
     const unnamed = this.guide.pictures.find((picture) => picture.caption.trim() === "");
     if (unnamed) throw new Error(`say in the caption what ${unnamed.name} shows`);
-    await this.save(this.guide);
+    await this.save({ was: this.base, now: this.guide });
     localStorage.removeItem(this.kept);
     this.app.toasts.show("The guide is saved.");
     await this.sweep();

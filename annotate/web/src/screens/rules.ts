@@ -19,6 +19,7 @@ import {
   type RuleUndone,
   type RulesApplied,
   type Settings,
+  type SettingsChange,
   type TaskPage,
 } from "../wire";
 import { KIND_WORDS, RULE_WORDS, plural } from "../words";
@@ -40,10 +41,13 @@ export async function openRules(app: App): Promise<Screen> {
   const box = h("div", { class: "dashboard grid" });
   const isAdmin = app.may("admin");
   let people: readonly Person[] = [];
+  /** The rules that the page shows. */
+  let shown: readonly Rule[] = [];
 
   const load = async (): Promise<void> => {
     const [rules, everybody] = await Promise.all([app.api.get<RuleState[]>("rules"), app.api.get<Person[]>("stats/people")]);
     people = everybody;
+    shown = rules.filter(({ known }) => known).map(({ rule }) => rule);
     const own = rules.length === 0 ? html`<p class="note">There are no rules: reviewers accept every answer.</p>` : rulesTable(rules);
     const applies = rules.some(({ rule, known }) => known && rule.enabled);
     const buttons = [button("Add a rule", () => edit(null), app, "primary"), applies ? button("Apply to what waits…", () => apply(rules), app) : nothing];
@@ -59,11 +63,11 @@ export async function openRules(app: App): Promise<Screen> {
     fill(box, element(section));
   };
 
-  /** Applies a change to the currently stored rules. */
+  /** Changes the rules that the page shows. Refused if somebody changed one of them meanwhile; then the page shows them anew. */
   const save = async (change: (rules: readonly Rule[]) => Rule[]): Promise<void> => {
     const settings = await app.api.get<Settings>("settings");
-    await app.api.json<Settings>("PUT", "settings", { ...settings, rules: change(settings.rules) });
-    await load();
+    const changed: SettingsChange = { was: { ...settings, rules: [...shown] }, now: { ...settings, rules: change(shown) } };
+    await app.api.json<Settings>("PUT", "settings", changed).finally(load);
   };
   const replace = (rule: Rule): Promise<void> => save((rules) => rules.map((own) => (own.name === rule.name ? rule : own)));
 
