@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use datasets_spec::dataset::Staging;
-use datasets_spec::flags::{FLAG_FPS_DOUBTFUL, FLAG_UP_DOUBTFUL, flag_names};
+use datasets_spec::flags::{
+    FLAG_FPS_DOUBTFUL, FLAG_SIDES_DOUBTFUL, FLAG_SKELETON_GUESSED, FLAG_UP_DOUBTFUL, flag_names,
+};
 use datasets_spec::store::{Disk, is_url, replace_file};
 use datasets_spec::{Motion, Skeleton};
 use pipeline::open::{clip_of_file, file_and_key};
@@ -99,10 +101,11 @@ pub(crate) fn check_not_read(out: &Path, read: &[&Path]) -> anyhow::Result<()> {
     }
 }
 
-/// The motion of a file, with a note if its frame rate or its up axis is doubtful.
+/// The motion of a file, with a note if its frame rate, its up axis or its sides are doubtful.
 pub(crate) fn motion_of_file(path: &Path, skeleton: &Skeleton) -> anyhow::Result<Motion> {
     let clip = clip_of_file(path, skeleton)?;
-    let doubts = flag_names(clip.flags & (FLAG_FPS_DOUBTFUL | FLAG_UP_DOUBTFUL));
+    let named = FLAG_FPS_DOUBTFUL | FLAG_UP_DOUBTFUL | FLAG_SIDES_DOUBTFUL | FLAG_SKELETON_GUESSED;
+    let doubts = flag_names(clip.flags & named);
     if !doubts.is_empty() {
         let (path, doubts, notes) = (path.display(), doubts.join(", "), clip.notes.join("; "));
         report::note(&format!("{path} is {doubts}: {notes}"));

@@ -36,8 +36,14 @@ pub const FLAG_UP_DOUBTFUL: u32 = 1 << 14;
 /// models are of another kind than its parameters.
 pub const FLAG_BODY_DOUBTFUL: u32 = 1 << 15;
 
+/// Feet or markers point backwards, given which side is left: an axis of the file may be mirrored, or left and right
+/// exchanged.
+pub const FLAG_SIDES_DOUBTFUL: u32 = 1 << 16;
+/// The joints were identified by the build of the skeleton, because their names are unknown.
+pub const FLAG_SKELETON_GUESSED: u32 = 1 << 17;
+
 /// The names of all flags, in the order of their bits.
-pub const FLAG_NAMES: [(u32, &str); 16] = [
+pub const FLAG_NAMES: [(u32, &str); 18] = [
     (FLAG_FLOOR_PENETRATION, "floor-penetration"),
     (FLAG_FOOT_SKATE, "foot-skate"),
     (FLAG_CONSTANT_POSE, "constant-pose"),
@@ -54,6 +60,8 @@ pub const FLAG_NAMES: [(u32, &str); 16] = [
     (FLAG_ROW_COUNT, "row-count"),
     (FLAG_UP_DOUBTFUL, "up-doubtful"),
     (FLAG_BODY_DOUBTFUL, "body-doubtful"),
+    (FLAG_SIDES_DOUBTFUL, "sides-doubtful"),
+    (FLAG_SKELETON_GUESSED, "skeleton-guessed"),
 ];
 
 /// The names of the flags that are set.

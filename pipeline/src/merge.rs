@@ -1,31 +1,29 @@
 //! Merges two datasets.
 
+mod labels;
+mod part;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{
-    Accounting, FileEntry, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedPairs, add_rejected,
-    plan_hash,
+    Accounting, FileEntry, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, plan_hash,
 };
-use datasets_spec::record::{
-    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
-};
-use datasets_spec::rejected::{RejectedMask, RejectedMasks, Rejections};
+use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::{Caption, PartCaption, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split, Transaction};
 use serde::Serialize;
 
+use self::labels::{labels, rejected};
+use self::part::Part;
 use crate::Error;
-use crate::annotation::pairs::is_from_labels;
-use crate::clip_table::{CLIP_TABLES, ClipRow, clip_facts};
+use crate::clip_table::{CLIP_TABLES, ClipRow};
 use crate::facts::json;
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
-use crate::versions::{
-    Labels, is_mask_of_people, is_mask_of_source, is_pair_judged, is_pair_of_people,
-};
+use crate::versions::{Labels, composed};
 
 /// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]
@@ -48,94 +46,15 @@ pub struct Merged {
     /// Numbers of automatic masks and pairs of clips of both datasets that gave way to labels of the other dataset, by
     /// table.
     pub gave_way: BTreeMap<String, u64>,
+    /// New ids of masks and pairs of the second dataset, by their old ids, under which the first has another label.
+    pub renamed_labels: BTreeMap<String, String>,
+    /// Tables of either dataset that the result does not contain: what stages made of all clips.
+    pub left_tables: Vec<String>,
     /// Ids of pairs and masks that were dropped, because people rejected them in one of the datasets and nobody accepted
     /// them.
     pub rejected: Vec<String>,
     /// Hash of the result.
     pub root_hash: String,
-}
-
-/// One of the two datasets, with the new ids and splits of its clips.
-struct Part<'a> {
-    dataset: &'a Dataset,
-    /// 0 for the first dataset, 1 for the second.
-    number: usize,
-    sources: &'a MergedSources,
-    /// Prefix of this dataset's paths in the result.
-    label: String,
-    shared: BTreeSet<MotionId>,
-    ids: BTreeMap<MotionId, MotionId>,
-    splits: BTreeMap<MotionId, Split>,
-}
-
-impl<'a> Part<'a> {
-    fn new(dataset: &'a Dataset, number: usize, sources: &'a MergedSources, label: &str) -> Self {
-        Self {
-            dataset,
-            number,
-            sources,
-            label: label.to_owned(),
-            shared: BTreeSet::new(),
-            ids: BTreeMap::new(),
-            splits: BTreeMap::new(),
-        }
-    }
-
-    fn id(&self, id: &MotionId) -> MotionId {
-        self.ids.get(id).unwrap_or(id).clone()
-    }
-
-    fn path(&self, path: &str) -> String {
-        with_label(&self.label, path)
-    }
-
-    /// The row and its split in the result; `None` if the other dataset has the clip.
-    fn take<R: ClipRow>(&self, mut row: R) -> Option<(Split, R)> {
-        let clip = row.of_clip();
-        if self.shared.contains(&*clip.id) {
-            return None;
-        }
-        if let Some([name, path]) = clip.source {
-            *name = self.sources.name(self.number, name, path);
-            *path = self.path(path);
-        }
-        if let Some(mirrored) = clip.mirrored_of
-            && let Ok(id) = MotionId::parse(mirrored)
-        {
-            *mirrored = self.id(&id).to_string();
-        }
-        let split = *self.splits.get(&*clip.id).unwrap_or(&*clip.split);
-        *clip.split = split;
-        *clip.id = self.id(clip.id);
-        Some((split, row))
-    }
-
-    /// Adds the items that the dataset rejected or skipped, and its clips that the other dataset already has.
-    fn passed_over(
-        &self,
-        quarantine: &mut Vec<QuarantineRow>,
-        skipped: &mut Vec<SkippedRow>,
-    ) -> Result<(), Error> {
-        let name = |name: &str, path: &str| self.sources.name(self.number, name, path);
-        for row in self.dataset.read::<QuarantineRow>(None)? {
-            quarantine.push(QuarantineRow {
-                source_name: name(&row.source_name, &row.path),
-                path: self.path(&row.path),
-                ..row
-            });
-        }
-        for row in self.dataset.read::<SkippedRow>(None)? {
-            skipped.push(SkippedRow {
-                source_name: name(&row.source_name, &row.path),
-                path: self.path(&row.path),
-                ..row
-            });
-        }
-        let clips = clip_facts(self.dataset)?.into_iter().map(|(_, clip)| clip);
-        let shared = clips.filter(|clip| self.shared.contains(&clip.id));
-        skipped.extend(shared.map(|clip| self.sources.shared_row(clip)));
-        Ok(())
-    }
 }
 
 /// What a merge does with clips that both datasets have and describe differently.
@@ -165,6 +84,20 @@ pub fn merge(
 ) -> Result<Merged, Error> {
     let datasets = [Dataset::open(first)?, Dataset::open(second)?];
     let [a, b] = &datasets;
+    for dataset in &datasets {
+        let tables = &dataset.manifest().tables;
+        if ![MotionRow::TABLE, MarkerRow::TABLE]
+            .iter()
+            .any(|table| tables.contains_key(*table))
+        {
+            let tables: Vec<&str> = tables.keys().map(String::as_str).collect();
+            return Err(Error::refused(format!(
+                "{} holds no motions, only {}; merge joins datasets of motions",
+                dataset.root().display(),
+                tables.join(", ")
+            )));
+        }
+    }
     let skeleton = common_skeleton(a, b)?;
     let clips = [clips(a)?, clips(b)?];
     check_settings(&datasets, &clips)?;
@@ -242,6 +175,10 @@ pub fn merge(
         license_warning: license::warning(&licenses),
         dropped_labels: labels.parted,
         gave_way: labels.gave_way,
+        renamed_labels: labels.renamed,
+        left_tables: BTreeSet::from_iter([composed(a), composed(b)].concat())
+            .into_iter()
+            .collect(),
         rejected: labels.rejected.into_iter().collect(),
         root_hash: dataset.manifest().root_hash.clone(),
     })
@@ -322,18 +259,29 @@ fn added<'a>(
     {
         let id = &origin.id;
         match by_id.get(id) {
-            Some(known) if known == content => {
+            // Captures without a motion have no content that would tell them apart.
+            Some(known) if known == content && !content.is_empty() => {
                 part.shared.insert(id.clone());
             }
             Some(_) => {
-                let numbered = (1..).map(|number| match number {
-                    1 => with_label(&part.label, id.as_str()),
-                    number => with_label(&format!("{}-{number}", part.label), id.as_str()),
-                });
-                let mut free = numbered.filter_map(|id| MotionId::parse(&id).ok());
-                let new = free.find(|id| taken.insert(id.clone()));
-                part.ids
-                    .insert(id.clone(), new.expect("numbers do not end"));
+                let mut number = 1;
+                let new = loop {
+                    let new = match number {
+                        1 => with_label(&part.label, id.as_str()),
+                        number => with_label(&format!("{}-{number}", part.label), id.as_str()),
+                    };
+                    let new = MotionId::parse(&new).map_err(|error| {
+                        Error::refused(format!(
+                            "{id} is another motion in the first dataset, and here it cannot be {new:?}: {error}; give the \
+                             second dataset's folder a shorter name"
+                        ))
+                    })?;
+                    if taken.insert(new.clone()) {
+                        break new;
+                    }
+                    number += 1;
+                };
+                part.ids.insert(id.clone(), new);
             }
             None => {}
         }
@@ -492,221 +440,6 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
         }
     }
     splits
-}
-
-/// The pairs and masks that people rejected in either dataset, with the ids of the result.
-fn rejected(parts: &[&Part<'_>; 2]) -> Result<(RejectedPairs, RejectedMasks), Error> {
-    let (mut all_pairs, mut all_masks) = (RejectedPairs::new(), RejectedMasks::new());
-    for part in parts {
-        let manifest = part.dataset.manifest();
-        let renamed = manifest
-            .rejected_pairs()?
-            .into_iter()
-            .map(|(project, pairs)| {
-                let pairs = pairs
-                    .iter()
-                    .map(|clips| clips.each_ref().map(|id| part.id(id)));
-                (project, pairs.collect())
-            });
-        add_rejected(&mut all_pairs, renamed);
-        let renamed = manifest
-            .rejected_masks()?
-            .into_iter()
-            .map(|(project, masks)| {
-                let masks = masks.into_iter().map(|rejected| RejectedMask {
-                    clip: part.id(&rejected.clip),
-                    ..rejected
-                });
-                (project, masks.collect())
-            });
-        add_rejected(&mut all_masks, renamed);
-    }
-    Ok((all_pairs, all_masks))
-}
-
-/// The labels of both datasets, and those that the result does not take.
-#[derive(Default)]
-struct MergedLabels {
-    rows: Labels,
-    /// Ids of pairs whose motions are in two splits now.
-    parted: Vec<String>,
-    rejected: BTreeSet<String>,
-    gave_way: BTreeMap<String, u64>,
-}
-
-impl MergedLabels {
-    /// How many were not taken, in words; empty if all were.
-    fn says(&self) -> String {
-        let gave_way = self.gave_way.iter().map(|(table, count)| {
-            format!("; {count} automatic {table} gave way to those of the other dataset")
-        });
-        let mut text: String = gave_way.collect();
-        if !self.rejected.is_empty() {
-            text += &format!(
-                "; {} pairs and masks that people rejected left",
-                self.rejected.len()
-            );
-        }
-        text
-    }
-}
-
-/// The labels of both datasets, without those that people rejected in either and nobody accepted, and without pairs
-/// whose motions are in two splits now. Of clips that both have, the second dataset gives automatic labels
-/// only where the first has none, and labels that only one of them has from people replace automatic ones of the other.
-fn labels(
-    parts: &[&Part<'_>; 2],
-    splits: &BTreeMap<MotionId, Split>,
-    rejected_pairs: &RejectedPairs,
-    rejected_masks: &RejectedMasks,
-) -> Result<MergedLabels, Error> {
-    let mut labels = MergedLabels::default();
-    let rejected: BTreeSet<&[MotionId; 2]> = rejected_pairs.values().flatten().collect();
-    let mut contents: BTreeMap<MotionId, String> = BTreeMap::new();
-    for part in parts {
-        let of_part = part.dataset.contents()?;
-        contents.extend(
-            of_part
-                .into_iter()
-                .map(|(id, content)| (part.id(&id), content)),
-        );
-    }
-    let rejections = Rejections::holding(rejected_masks, &contents);
-    let mut masks: [Vec<MaskRow>; 2] = Default::default();
-    let mut pairs: [Vec<PairRow>; 2] = Default::default();
-    for (number, part) in parts.iter().enumerate() {
-        for mut mask in part.dataset.read::<MaskRow>(None)? {
-            mask.motion_id = part.id(&mask.motion_id);
-            if !is_mask_of_people(&mask) && rejections.has(&mask) {
-                labels.rejected.insert(mask.id);
-                continue;
-            }
-            mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
-            masks[number].push(mask);
-        }
-        for mut pair in part.dataset.read::<PairRow>(None)? {
-            pair.source_id = part.id(&pair.source_id);
-            pair.target_id = part.id(&pair.target_id);
-            if !is_pair_judged(&pair) && rejected.contains(&clips_of(&pair)) {
-                labels.rejected.insert(pair.id);
-                continue;
-            }
-            let split = splits.get(&pair.target_id).copied();
-            if split != splits.get(&pair.source_id).copied() {
-                labels.parted.push(pair.id);
-                continue;
-            }
-            pair.split = split.unwrap_or(pair.split);
-            pairs[number].push(pair);
-        }
-    }
-    let described = Labelled::of(&masks, |mask| mask.motion_id.clone(), is_mask_of_people);
-    let parts_of = |mask: &MaskRow| (mask.motion_id.clone(), mask.parts.clone());
-    let masked = Labelled::of(&masks, parts_of, is_mask_of_people);
-    let gives_way = |number: usize, mask: &MaskRow| {
-        let is_automatic = !is_mask_of_people(mask) && !is_mask_of_source(mask);
-        is_automatic
-            && match described.is_of_people(&mask.motion_id) {
-                // People describe a clip by all its masks: no automatic mask brings back a part that they left out.
-                [true, false] => number == 1,
-                [false, true] => number == 0,
-                _ => masked.replaces(number, &parts_of(mask)),
-            }
-    };
-    let table = &mut labels.rows.masks;
-    let masks = take(table, parts, masks, |mask| &mut mask.id, gives_way);
-    let paired = Labelled::of(&pairs, clips_of, is_pair_of_people);
-    let gives_way = |number: usize, pair: &PairRow| {
-        is_from_labels(pair) && paired.replaces(number, &clips_of(pair))
-    };
-    let table = &mut labels.rows.pairs;
-    let pairs = take(table, parts, pairs, |pair| &mut pair.id, gives_way);
-    let counts = [(MaskRow::TABLE, masks), (PairRow::TABLE, pairs)].into_iter();
-    labels.gave_way = counts
-        .filter(|(_, count)| *count > 0)
-        .map(|(table, count)| (table.to_owned(), count))
-        .collect();
-    Ok(labels)
-}
-
-fn clips_of(pair: &PairRow) -> [MotionId; 2] {
-    [pair.source_id.clone(), pair.target_id.clone()]
-}
-
-/// What the labels of each of two datasets are about: clips, parts of clips, or source and target.
-struct Labelled<K> {
-    all: [BTreeSet<K>; 2],
-    by_people: [BTreeSet<K>; 2],
-}
-
-impl<K: Ord> Labelled<K> {
-    fn of<R>(rows: &[Vec<R>; 2], about: fn(&R) -> K, is_of_people: fn(&R) -> bool) -> Self {
-        Self {
-            all: rows.each_ref().map(|rows| rows.iter().map(about).collect()),
-            by_people: rows.each_ref().map(|rows| {
-                let rows = rows.iter().filter(|row| is_of_people(row));
-                rows.map(about).collect()
-            }),
-        }
-    }
-
-    /// Whether people labelled this in each dataset.
-    fn is_of_people(&self, about: &K) -> [bool; 2] {
-        self.by_people
-            .each_ref()
-            .map(|labelled| labelled.contains(about))
-    }
-
-    /// Whether the other dataset has a label that replaces an automatic one of dataset `number`: of people, or any of
-    /// the first dataset.
-    fn replaces(&self, number: usize, about: &K) -> bool {
-        self.is_of_people(about)[1 - number] || number == 1 && self.all[0].contains(about)
-    }
-}
-
-/// Adds the rows that do not give way to a table, and returns the number of the others.
-fn take<R: PartialEq>(
-    table: &mut BTreeMap<String, R>,
-    parts: &[&Part<'_>; 2],
-    rows: [Vec<R>; 2],
-    id: fn(&mut R) -> &mut String,
-    gives_way: impl Fn(usize, &R) -> bool,
-) -> u64 {
-    let mut left = Vec::new();
-    for (number, rows) in rows.into_iter().enumerate() {
-        for row in rows {
-            match gives_way(number, &row) {
-                true => left.push(row),
-                false => insert(table, row, &parts[number].label, id),
-            }
-        }
-    }
-    // Of two equal rows one is taken, and none gave way.
-    left.retain_mut(|row| table.get(id(row)) != Some(row));
-    left.len() as u64
-}
-
-/// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset.
-fn insert<R: PartialEq>(
-    rows: &mut BTreeMap<String, R>,
-    mut row: R,
-    label: &str,
-    id: fn(&mut R) -> &mut String,
-) {
-    let own = id(&mut row).clone();
-    let mut numbers = 2..;
-    let mut candidate = own.clone();
-    while rows.get(&candidate).is_some_and(|other| *other != row) {
-        candidate = match id(&mut row) == &own {
-            true => format!("{own} ({label})"),
-            false => format!(
-                "{own} ({label} {})",
-                numbers.next().expect("numbers do not end")
-            ),
-        };
-        id(&mut row).clone_from(&candidate);
-    }
-    rows.insert(candidate, row);
 }
 
 /// Writes a table of both datasets, with one shard for each of their shards and splits. Shards of markers and features

@@ -106,6 +106,9 @@ fn summary(done: &Merged) -> String {
     for (from, to) in &done.renamed {
         text += &format!("  {from} is {to}\n");
     }
+    for (from, to) in &done.renamed_labels {
+        text += &format!("  label {from} is {to}\n");
+    }
     for (id, split) in &done.moved {
         text += &format!("  {id} is in {split}\n");
     }
@@ -117,6 +120,12 @@ fn summary(done: &Merged) -> String {
     }
     for id in &done.dropped_labels {
         text += &format!("  pair {id} was dropped: its motions are in two splits now\n");
+    }
+    if !done.left_tables.is_empty() {
+        text += &format!(
+            "  tables that stages made of all clips were left out: {}\n",
+            done.left_tables.join(", ")
+        );
     }
     if let Some(warning) = &done.license_warning {
         text += &format!("note: {warning}\n");

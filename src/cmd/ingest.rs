@@ -70,7 +70,8 @@ pub(crate) struct Args {
     /// metres
     #[arg(long)]
     unit: Option<Unit>,
-    /// Up axis of files such as C3D, TRC, BVH and AMASS: x, y, z, or one of them with a minus
+    /// Up axis of files that do not state it, such as C3D, TRC, BVH, AMASS, arrays and pickles: x, y, z, or one of them with
+    /// a minus
     ///
     /// Without it, the axis is the one that the format or a joint map states, else the one along which the person stands. Clips whose
     /// person mostly does not stand are flagged `up-doubtful`.

@@ -16,8 +16,8 @@ use serde_json::{Value, json};
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
 use crate::util::{
-    Ran, arg, assert_has, corpus, dataset_of, files_with_extension, ingested, list_of, put,
-    rows_of, stance, text_of,
+    Ran, arg, assert_has, corpus, dataset_of, files_with_extension, ingested, list_of, motions_of,
+    put, rows_of, stance, text_of,
 };
 
 const CLIPS: &str = "lab/clips";
@@ -183,6 +183,34 @@ fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_
     commit(&older, quarantined());
     hub.try_push(&older, CLIPS, &["--license", "MIT"])
         .expect_refused("--delete meta/manifest-2.json");
+}
+
+#[test]
+fn the_version_of_a_colleague_is_not_replaced_without_a_word() {
+    let (dir, ann) = dataset_of(6, &["--license", "CC0-1.0"]);
+    let hub = Hub::open();
+    hub.push(&ann, CLIPS, &[]);
+    // Two people go on from version 1, and both make a version 2.
+    let ben = dir.path().join("ben");
+    hub.pull(Some(TOKEN), CLIPS, &ben, &[]).expect_code(0);
+    stance(&["masks", arg(&ann)]).expect_code(0);
+    let id = motions_of(&ben).into_keys().next().expect("a clip");
+    let condition = format!("id = '{id}'");
+    stance(&["dataset", "remove", arg(&ben), "--where", &condition]).expect_code(0);
+    hub.push(&ann, CLIPS, &[]);
+    for more in [&[][..], &["--dry-run"]] {
+        hub.try_push(&ben, CLIPS, more)
+            .expect_refused("another version 2");
+    }
+    // A version 3 made from Ben's version 2 lacks Ann's masks too.
+    stance(&["masks", arg(&ben)]).expect_code(0);
+    hub.try_push(&ben, CLIPS, &[])
+        .expect_refused("another version 2");
+    let done = hub.push(&ben, CLIPS, &["--over"]);
+    assert!(words(&done["changed"]).contains("meta/manifest-3.json"));
+    // A repo that everybody reads is not taken for a private one.
+    hub.try_push(&ben, CLIPS, &["--private"])
+        .expect_refused("public");
 }
 
 /// Writes a dataset of one row.

@@ -16,8 +16,8 @@ use crate::annotate::{accept, from_json, judge_lines, settings};
 use crate::grown::{clips, files, ingest, judge, masks, verified};
 use crate::pairs::motionfix_motion;
 use crate::util::{
-    Folder, arg, assert_has, everything, files_with_extension, json_of, len_of, put, rows_of,
-    stance, text_of, typed,
+    Folder, arg, assert_has, dataset_of, everything, files_with_extension, json_of, len_of, put,
+    rows_of, stance, text_of, typed,
 };
 
 /// A folder of clips of the built-in corpus, and a dataset of it with automatic masks and pairs.
@@ -113,6 +113,31 @@ fn what_people_judged_stands_alone_after_a_merge_with_a_copy() {
         // No stage makes the rejected pair again.
         stance(&["pairs", arg(&out)]).expect_code(0);
         assert_eq!(pairs(&out), paired, "{name}");
+    }
+}
+
+#[test]
+fn items_are_not_merged_into_an_empty_dataset() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let (_corpus, dataset) = dataset_of(12, &[]);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let items = dir.path().join("items");
+    let args = [
+        "items",
+        arg(&dataset),
+        "--split",
+        "train",
+        "--count",
+        "4",
+        "--out",
+        arg(&items),
+    ];
+    stance(&args).expect_code(0);
+    for pair in [[&items, &items], [&dataset, &items]] {
+        let out = dir.path().join("merged");
+        let ran = typed("dataset merge {} {} --out {}", &[&pair[0], &pair[1], &out]);
+        ran.expect_refused("holds no motions, only items");
+        assert!(!out.exists());
     }
 }
 
@@ -228,12 +253,38 @@ fn rejected_pairs_stay_rejected_when_a_dataset_goes_back() {
     annotated(&dataset);
     let (paired, list) = (pairs(&dataset), rejected(&dataset));
     assert_eq!((paired.len(), list.len()), (9, 1));
+    // A person described a clip by two masks, and left out the other automatic ones.
+    let described = || {
+        let all = masks(&dataset);
+        let clip = all.values().find(|mask| mask.text_origin == "human");
+        let clip = clip.expect("a mask by a person").motion_id.clone();
+        let mut of_clip = all;
+        of_clip.retain(|_, mask| mask.motion_id == clip);
+        of_clip
+    };
+    // What the annotation project knows of the dataset.
+    let known = || {
+        let mut facts = Dataset::open(&dataset)
+            .expect("a dataset")
+            .manifest()
+            .facts
+            .clone();
+        facts.retain(|name, _| name.starts_with("annotate_"));
+        facts
+    };
+    let (masks_before, known_before) = (described(), known());
+    assert!(masks_before.len() == 2 && !known_before.is_empty());
     let to = before.to_string();
     let restore = ["--json", "dataset", "restore", arg(&dataset), "--to", &to];
     let done: Value = stance(&restore).done();
     assert_eq!(len_of(&done["rejected"]), 1, "{done}");
     assert_eq!(rejected(&dataset), list);
     assert_eq!(pairs(&dataset), paired);
+    assert_eq!(
+        (described(), known()),
+        (masks_before, known_before),
+        "{done}"
+    );
     let again: Value = stance(&restore).done();
     assert_eq!(again["is_current"], true);
     stance(&["pairs", arg(&dataset)]).expect_code(0);

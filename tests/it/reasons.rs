@@ -18,6 +18,54 @@ fn ids(dataset: &Path) -> BTreeSet<String> {
     motions_of(dataset).into_keys().collect()
 }
 
+#[test]
+fn the_manual_has_every_code() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let manual = text_of(root.join("pipeline/docs/codes.md"));
+    let known: BTreeSet<&str> = manual
+        .split('`')
+        .filter(|word| word.starts_with("E-"))
+        .collect();
+    // `E-NPY-*` stands for all codes that begin so.
+    let is_known = |code: &str| {
+        let all = |word: &&str| {
+            word.strip_suffix('*')
+                .is_some_and(|start| code.starts_with(start))
+        };
+        known.contains(code) || known.iter().any(all)
+    };
+    let mut codes = BTreeSet::new();
+    for folder in [
+        "src",
+        "datasets-spec",
+        "pipeline",
+        "train",
+        "eval",
+        "annotate/src",
+    ] {
+        for file in files_with_extension(&root.join(folder), "rs") {
+            let text = text_of(&file);
+            let program = text.split("#[cfg(test)]").next().unwrap_or_default();
+            if file.components().any(|part| part.as_os_str() == "src")
+                && !file.ends_with("tests.rs")
+            {
+                let quoted = program.split('"').filter(|word| word.starts_with("E-"));
+                codes.extend(quoted.map(str::to_owned));
+            }
+        }
+    }
+    let is_code = |word: &String| {
+        !word.ends_with('-')
+            && word
+                .chars()
+                .all(|c| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '-')
+    };
+    codes.retain(is_code);
+    assert!(codes.len() > 60, "{codes:?}");
+    codes.retain(|code| !is_known(code));
+    assert_eq!(codes, BTreeSet::new(), "not in pipeline/docs/codes.md");
+}
+
 /// A folder with motions of these names and no other files.
 fn motions(dir: &Path, names: &[&str]) -> PathBuf {
     let files = files_with_extension(&dir.join("corpus"), "npz");

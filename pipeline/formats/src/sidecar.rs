@@ -17,6 +17,13 @@ pub struct Sidecar {
     /// Id of the clip that it mirrors. Only the file beside a lone motion states it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mirrored_of: Option<String>,
+    /// Where its rotations come from, as in column `rotation_source`. Only the file beside a lone motion states it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation_source: Option<String>,
+    /// How well its rotations fit what was captured, as in column `fit_error_m`. Only the file beside a lone motion states
+    /// it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fit_error_m: Option<f32>,
     /// Captions of the clip.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub captions: Vec<LabelCaption>,

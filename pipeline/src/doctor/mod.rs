@@ -37,7 +37,7 @@ use release::{motionfix_folders, stance_folders};
 
 use crate::Error;
 use crate::catalogue::other_than_motions;
-use crate::ingest::{list_each, with_label};
+use crate::ingest::{list_each, reason_beside, with_label, without_extension};
 
 pub use findings::Diagnosis;
 use findings::{Estimate, Findings, HumanMl3dFindings, Kind, LicenseFindings};
@@ -315,7 +315,7 @@ impl Looked {
 fn look(files: &BTreeMap<String, PathBuf>, releases: &[FoundRelease]) -> Vec<Looked> {
     let used = used_files(releases);
     let listed: Vec<(&String, &PathBuf)> = files.iter().collect();
-    listed
+    let mut looked: Vec<Looked> = listed
         .into_par_iter()
         .map(|(relative, path)| {
             let head = read_head(path);
@@ -328,5 +328,18 @@ fn look(files: &BTreeMap<String, PathBuf>, releases: &[FoundRelease]) -> Vec<Loo
                 used: used.get(relative.as_str()).cloned(),
             }
         })
-        .collect()
+        .collect();
+    let motions = looked.iter().filter(|file| file.format().is_ok());
+    let motions: Vec<String> = motions
+        .map(|file| without_extension(&file.relative).to_owned())
+        .collect();
+    let motions: BTreeSet<&str> = motions.iter().map(String::as_str).collect();
+    for file in &mut looked {
+        if let (None, Recognised::NotMotion { reason }) = (&file.used, &mut file.kind)
+            && let Some(better) = reason_beside(&file.relative, reason, &motions)
+        {
+            *reason = better.to_owned();
+        }
+    }
+    looked
 }

@@ -126,6 +126,8 @@ fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error>
     let said = Sidecar {
         id: Some(row.id.to_string()),
         mirrored_of: row.mirrored_of.clone(),
+        rotation_source: Some(row.rotation_source.clone()),
+        fit_error_m: row.fit_error_m,
         captions: captions
             .map(|(caption, origin)| LabelCaption {
                 caption: caption.clone(),

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::PartCaption;
-use datasets_spec::{BodyPart, Fps, Motion, Progress, Resample, Split};
+use datasets_spec::{BlendMask, BodyPart, Fps, Motion, Progress, Resample, Split};
 use formats::source::stance::origin::{self, Origin, Record};
 use formats::source::stance::{
     ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
@@ -263,9 +263,14 @@ fn file_name(text: &str) -> String {
         .collect()
 }
 
+/// Whether the lists of the release have a place for a mask: they hold whole parts with soft rings, for whole motions.
 fn is_named(mask: &MaskRow) -> bool {
-    let mut parts = mask.parts.iter();
-    !mask.parts.is_empty() && parts.all(|part| part.parse::<BodyPart>().is_ok())
+    let parts: Result<Vec<BodyPart>, _> = mask.parts.iter().map(|part| part.parse()).collect();
+    let own = BlendMask::of_names(&mask.hard_joints, &mask.soft_joints);
+    let (Ok(parts), Ok(own)) = (parts, own) else {
+        return false;
+    };
+    !parts.is_empty() && own == BlendMask::of_parts(&parts) && mask.start.is_none()
 }
 
 /// Part annotations of each motion, by id: body parts joined by `+`, and their text.

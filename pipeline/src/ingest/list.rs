@@ -9,6 +9,7 @@ use datasets_spec::Progress;
 use datasets_spec::dataset::PRIVATE;
 use datasets_spec::record::QuarantineRow;
 use datasets_spec::store::{ByPath, Store, is_url};
+use formats::sidecar::Sidecar;
 use formats::source::archive::{self, Archives};
 use formats::source::text_of_name;
 use formats::source::{Entry, read_head};
@@ -550,7 +551,22 @@ pub(super) fn path_of(file: &str, key: &str) -> String {
     }
 }
 
-pub(super) fn without_extension(relative: &str) -> &str {
+/// The reason for skipping a caption file or a sidecar where it depends on whether a motion lies beside it; `None` if
+/// `reason` is right. `motions` are paths without extensions.
+pub(crate) fn reason_beside(
+    path: &str,
+    reason: &str,
+    motions: &BTreeSet<&str>,
+) -> Option<&'static str> {
+    let is_beside = |suffix: &str| path.strip_suffix(suffix).map(|stem| motions.contains(stem));
+    if reason.starts_with("sidecar") && is_beside(Sidecar::SUFFIX) == Some(false) {
+        return Some("sidecar without a motion");
+    }
+    let is_caption = reason.starts_with("txt text") && is_beside(".txt") == Some(true);
+    is_caption.then_some("captions, read with the motion they describe")
+}
+
+pub(crate) fn without_extension(relative: &str) -> &str {
     let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
     match relative[name_start..].rfind('.') {
         Some(dot) if dot > 0 => &relative[..name_start + dot],

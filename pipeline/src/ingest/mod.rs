@@ -6,6 +6,7 @@
 
 mod added;
 mod alike;
+mod content;
 mod deal;
 mod fates;
 mod forecast;
@@ -54,7 +55,9 @@ pub use self::growth::{Growth, LostLabel};
 pub use self::id_list::IdList;
 pub use self::job::plan_ingest;
 pub(crate) use self::job::{JOB, open_job};
-pub(crate) use self::list::{labelled as with_label, list_each, list_files, quarantine_row};
+pub(crate) use self::list::{
+    labelled as with_label, list_each, list_files, quarantine_row, reason_beside, without_extension,
+};
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;

@@ -1,5 +1,6 @@
 //! Options of a run and contents of its dataset, known before the sources are identified.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -7,19 +8,24 @@ use datasets_spec::manifest::Manifest;
 use datasets_spec::record::MotionRow;
 use datasets_spec::store::Store;
 use datasets_spec::table::Row;
-use datasets_spec::{Progress, Resample, Seed};
+use datasets_spec::{NoProgress, Progress, Resample, Seed};
 use formats::source::ReadOptions;
 
+use super::fates::{Fates, Reread};
+use super::kept::Labels;
 use super::known::Known;
 use super::list::{Listed, without_extension};
 use super::options::{IngestOptions, SEED_FACT, SHARED_SETTINGS, Settings};
 use super::places::Places;
 use super::plan::Plan;
 use super::recorded::{Base, Recorded};
+use super::shard::Done;
 use super::split_by::SplitBy;
 use super::split_list::SplitList;
+use super::unread::is_passing;
 use crate::Error;
 use crate::names::some_of;
+use crate::versions::check_lost;
 
 pub(super) struct Prepared {
     pub(super) options: IngestOptions,
@@ -130,6 +136,58 @@ impl Prepared {
         let mut places = self.places.clone();
         places.record(&plan.notes.given);
         places
+    }
+
+    /// Labels of the dataset that are kept, and those that are lost.
+    pub(super) fn labels(&self, fates: &Fates<'_>) -> Labels {
+        fates.labels(self.base.masks.clone(), self.base.label_pairs.clone())
+    }
+
+    /// The fates that can be foreseen. Changed clips whose labels would be lost are read now, because a clip that its
+    /// file no longer gives stays with its labels.
+    pub(super) fn foreseen<'a>(&self, plan: &Plan, fates: &Fates<'a>) -> Fates<'a> {
+        let mut foreseen = fates.clone();
+        let lost = self.labels(fates).lost;
+        let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
+        let items = plan.items_with_ids(&clips);
+        let done = plan.read_items(&items, &self.options, &NoProgress);
+        let failed: BTreeMap<&str, Reread> = std::iter::zip(&items, done)
+            .filter_map(|(item, done)| {
+                let reread = match done {
+                    Done::Clip(..) => return None,
+                    Done::Rejected(row) if is_passing(&row) => Reread::Unread,
+                    Done::Rejected(_) | Done::Skipped(_) => Reread::Refused,
+                };
+                Some((item.id.as_ref().ok()?.as_str(), reread))
+            })
+            .collect();
+        if !failed.is_empty() {
+            foreseen.settle(|id| failed.get(id).copied().unwrap_or(Reread::Ingested));
+        }
+        foreseen
+    }
+
+    pub(super) fn refuse_loss(&self, root: &Path, labels: &Labels) -> Result<(), Error> {
+        check_lost(root, &labels.lost, self.options.drop_labels)
+    }
+
+    /// Refuses the run if clips stay that were read with other values of a setting that all clips of a dataset must
+    /// share.
+    pub(super) fn refuse_mixture(&self, root: &Path, fates: &Fates<'_>) -> Result<(), Error> {
+        const SHOWN: usize = 5;
+        let staying: Vec<_> = fates.beside().collect();
+        let Some(differing) = self.must_agree.as_ref().filter(|_| !staying.is_empty()) else {
+            return Ok(());
+        };
+        let shown: Vec<&str> = staying.iter().take(SHOWN).map(|id| id.as_str()).collect();
+        let reason = format!(
+            "{} clips of {} cannot be read again with the new settings ({differing}): {}; nothing was changed. Put \
+             their files back, keep the settings, or pass --prune to leave these clips out",
+            staying.len(),
+            root.display(),
+            shown.join(", ")
+        );
+        Err(Error::coded("E-MIXTURE", root.display(), reason))
     }
 }
 

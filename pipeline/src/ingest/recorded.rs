@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use clip::LabelProblem;
-use datasets_spec::manifest::{FileEntry, Manifest};
+use datasets_spec::manifest::{ANNOTATE_FACTS, FileEntry, Manifest};
 use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::table::{Row, ShardReader, read_rows};
@@ -232,6 +232,8 @@ impl MergedSources {
         let (a, b) = (&first.manifest().facts, &second.manifest().facts);
         let facts = a.iter().filter(|(name, value)| match b.get(*name) {
             _ if *name == SEED_FACT => true,
+            // The clips of the first dataset keep their ids, so the annotation project of that dataset goes on.
+            None if name.starts_with(ANNOTATE_FACTS) => true,
             Some(other) if *name == SETTINGS_FACT => Settings::read_alike(value, other),
             other => other == Some(value),
         });

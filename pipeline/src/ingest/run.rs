@@ -1,7 +1,6 @@
 //! Executes a plan: reads the shards and commits the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
 use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName, Staging};
@@ -15,12 +14,12 @@ use datasets_spec::record::{
 };
 use datasets_spec::rejected::{RejectedMask, RejectedMasks};
 use datasets_spec::table::{Row, read_column, read_rows};
-use datasets_spec::{Dataset, MotionId, NoProgress, Progress, Split, Transaction};
+use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
 
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
 use super::fates::{Fates, Files, Reread};
-use super::kept::{Labels, Outside, Timing};
+use super::kept::{Outside, Timing};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, rate_name,
@@ -28,14 +27,13 @@ use super::options::{
 use super::plan::Plan;
 use super::prepared::Prepared;
 use super::report::{IngestReport, Tally, already_complete, counted};
-use super::shard::{Done, ShardNotes};
+use super::shard::ShardNotes;
 use super::sources::SOURCES_FACT;
-use super::unread::is_passing;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::clip_table::{ClipRow, is_composed};
 use crate::facts::json;
-use crate::versions::{check_lost, is_mask_of_people};
+use crate::versions::is_mask_of_people;
 use work::{self, Failed, Made, Piece};
 
 struct Run<'a> {
@@ -657,60 +655,6 @@ fn staged_shard(
         let notes = serde_json::from_value::<ShardNotes>(stored.notes).ok()?;
         Some((stored.record.files.into_iter().next()?, notes))
     }))
-}
-
-impl Prepared {
-    /// Labels of the dataset that are kept, and those that are lost.
-    pub(super) fn labels(&self, fates: &Fates<'_>) -> Labels {
-        fates.labels(self.base.masks.clone(), self.base.label_pairs.clone())
-    }
-
-    /// The fates that can be foreseen. Changed clips whose labels would be lost are read now, because a clip that its
-    /// file no longer gives stays with its labels.
-    pub(super) fn foreseen<'a>(&self, plan: &Plan, fates: &Fates<'a>) -> Fates<'a> {
-        let mut foreseen = fates.clone();
-        let lost = self.labels(fates).lost;
-        let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
-        let items = plan.items_with_ids(&clips);
-        let done = plan.read_items(&items, &self.options, &NoProgress);
-        let failed: BTreeMap<&str, Reread> = std::iter::zip(&items, done)
-            .filter_map(|(item, done)| {
-                let reread = match done {
-                    Done::Clip(..) => return None,
-                    Done::Rejected(row) if is_passing(&row) => Reread::Unread,
-                    Done::Rejected(_) | Done::Skipped(_) => Reread::Refused,
-                };
-                Some((item.id.as_ref().ok()?.as_str(), reread))
-            })
-            .collect();
-        if !failed.is_empty() {
-            foreseen.settle(|id| failed.get(id).copied().unwrap_or(Reread::Ingested));
-        }
-        foreseen
-    }
-
-    pub(super) fn refuse_loss(&self, root: &Path, labels: &Labels) -> Result<(), Error> {
-        check_lost(root, &labels.lost, self.options.drop_labels)
-    }
-
-    /// Refuses the run if clips stay that were read with other values of a setting that all clips of a dataset must
-    /// share.
-    pub(super) fn refuse_mixture(&self, root: &Path, fates: &Fates<'_>) -> Result<(), Error> {
-        const SHOWN: usize = 5;
-        let staying: Vec<_> = fates.beside().collect();
-        let Some(differing) = self.must_agree.as_ref().filter(|_| !staying.is_empty()) else {
-            return Ok(());
-        };
-        let shown: Vec<&str> = staying.iter().take(SHOWN).map(|id| id.as_str()).collect();
-        let reason = format!(
-            "{} clips of {} cannot be read again with the new settings ({differing}): {}; nothing was changed. Put \
-             their files back, keep the settings, or pass --prune to leave these clips out",
-            staying.len(),
-            root.display(),
-            shown.join(", ")
-        );
-        Err(Error::coded("E-MIXTURE", root.display(), reason))
-    }
 }
 
 /// Writes a table with a shard for each split that has rows; nothing without rows.

@@ -14,10 +14,11 @@ use formats::source::{Entry, ReadOptions, label, read_clip};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::content::{bounded_length, companions};
 use super::deal::Item;
 use super::list::{path_of, source_hash};
 use super::options::IngestOptions;
-use super::plan::{Plan, bounded_length, companions};
+use super::plan::Plan;
 use super::rows::{ClipRows, clip_rows, mask_row, pair_row};
 use crate::Error;
 

@@ -31,6 +31,7 @@ pub(crate) use self::labels::{
 };
 pub use self::remove::{RemoveOptions, Removed, remove};
 pub use self::restore::{Restored, restore};
+pub(crate) use self::select::composed;
 pub use self::select::{SELECTED_FACT, Selected, select};
 
 /// A version of a dataset.

@@ -10,7 +10,8 @@ use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
 use super::labels::{
-    KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_judged, is_pair_of_people,
+    KeptLabel, Labels, check_lost, is_mask_of_people, is_mask_of_source, is_pair_judged,
+    is_pair_of_people,
 };
 use crate::Error;
 use crate::ingest::LostLabel;
@@ -33,6 +34,9 @@ pub struct Restored {
     /// Newer labels by people that are lost, because the restored version does not have their clips, or has other
     /// motions. The previous version keeps them.
     pub lost: Vec<LostLabel>,
+    /// Number of automatic masks of the restored version that the result does not contain, because people have described
+    /// their clips since and left them out.
+    pub gave_way: u64,
     /// Ids of pairs and masks of the restored version that people have rejected since; the result does not contain them.
     pub rejected: Vec<String>,
     /// Tables of the previous version that the result does not contain.
@@ -78,6 +82,7 @@ pub fn restore(
         labels: before.clone(),
         kept: Vec::new(),
         lost: Vec::new(),
+        gave_way: 0,
     };
     let current = Labels::read(&now)?;
     merge.take(current.clone());
@@ -85,6 +90,7 @@ pub fn restore(
         mut labels,
         kept,
         lost,
+        gave_way,
         ..
     } = merge;
     check_lost(root, &lost, drop_labels)?;
@@ -139,6 +145,7 @@ pub fn restore(
         tables: manifest.row_counts(),
         kept,
         lost,
+        gave_way,
         rejected,
         left_tables,
         root_hash: manifest.root_hash.clone(),
@@ -162,10 +169,12 @@ struct Merge {
     labels: Labels,
     kept: Vec<KeptLabel>,
     lost: Vec<LostLabel>,
+    gave_way: u64,
 }
 
 impl Merge {
     fn take(&mut self, now: Labels) {
+        self.leave_what_people_left_out(&now);
         for mask in now.masks.into_values().filter(is_mask_of_people) {
             let (table, id) = (MaskRow::TABLE, mask.id.clone());
             if let Some(split) = self.split_of(table, &id, [&mask.motion_id; 2]) {
@@ -182,6 +191,27 @@ impl Merge {
                 }
             }
         }
+    }
+
+    /// Removes automatic masks of the older version whose clips people have described since, unless the newest version has
+    /// them too. People describe a clip by all its masks.
+    fn leave_what_people_left_out(&mut self, now: &Labels) {
+        let described = now.masks.values().filter(|mask| is_mask_of_people(mask));
+        let described: BTreeSet<&MotionId> = described
+            .map(|mask| &mask.motion_id)
+            .filter(|clip| {
+                self.old.get(*clip).map(|old| &old.0) == self.now.get(*clip).map(|now| &now.0)
+            })
+            .collect();
+        let is_left_out = |id: &String, mask: &MaskRow| {
+            let is_automatic = !is_mask_of_people(mask) && !is_mask_of_source(mask);
+            is_automatic && described.contains(&mask.motion_id) && !now.masks.contains_key(id)
+        };
+        let left_out = self
+            .labels
+            .masks
+            .extract_if(.., |id, mask| is_left_out(id, mask));
+        self.gave_way += left_out.count() as u64;
     }
 
     /// Adds a mask. It replaces an automatic mask of the same parts, as when the mask was made.

@@ -144,7 +144,7 @@ fn selected_from(dataset: &Dataset, filter: &Condition) -> Result<String, Error>
 }
 
 /// Tables that stages make of all clips of a dataset.
-pub(super) fn composed(dataset: &Dataset) -> Vec<String> {
+pub(crate) fn composed(dataset: &Dataset) -> Vec<String> {
     let tables = dataset.manifest().tables.keys();
     tables.filter(|table| is_composed(table)).cloned().collect()
 }

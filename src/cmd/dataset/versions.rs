@@ -111,6 +111,12 @@ fn restored(done: &Restored) -> String {
             .collect();
         text += &listing(&ids);
     }
+    if done.gave_way > 0 {
+        text += &format!(
+            "{} automatic masks left: people have described their clips since, without them\n",
+            done.gave_way
+        );
+    }
     text += &lost_labels(&done.lost);
     text += &rejected;
     if !done.left_tables.is_empty() {

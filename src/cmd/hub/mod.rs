@@ -57,6 +57,9 @@ struct PushArgs {
     /// File or folder of the repo to delete; files that this push publishes cannot be deleted
     #[arg(long, value_name = "PATH")]
     delete: Vec<String>,
+    /// Replace a version of the repo that this dataset does not come from
+    #[arg(long)]
+    over: bool,
     /// Only print what would be published and deleted
     #[arg(long)]
     dry_run: bool,
@@ -126,7 +129,7 @@ fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
         delete: &args.delete,
     };
     let push = Push::plan(&hub, &repo, &files, options)?;
-    thing.check_version(&push.preview().only_in_repo)?;
+    thing.check_version(&push, args.over)?;
     let done = match args.dry_run {
         true => push.preview().clone(),
         false => push.send(&global.bars())?,

@@ -12,7 +12,9 @@ use datasets_spec::record::{EditRow, MotionRow, PairRow};
 use datasets_spec::store::aside;
 use datasets_spec::table::Row;
 use eval::judge::{JudgeReport, REPORT};
-use remote_store::hub::{Content, HubFile, RepoKind, RepoName, files_below, manifest_version};
+use remote_store::hub::{
+    Content, HubFile, Push, RepoKind, RepoName, files_below, manifest_version,
+};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use train::card::{self, About, Score};
@@ -122,21 +124,38 @@ impl Thing {
         }
     }
 
-    /// Fails if the repo keeps a newer version of the dataset: readers open the newest one.
-    pub(super) fn check_version(&self, only_in_repo: &[String]) -> anyhow::Result<()> {
+    /// Fails if the repo holds a newer version of the dataset, since readers open the newest. Unless `is_over`, it also fails
+    /// if this dataset does not come from the newest version in the repo.
+    pub(super) fn check_version(&self, push: &Push<'_>, is_over: bool) -> anyhow::Result<()> {
         let Self::Data(_, dataset) = self else {
             return Ok(());
         };
-        let version = dataset.manifest().version;
-        let versions = only_in_repo
-            .iter()
-            .filter_map(|path| manifest_version(path));
-        match versions.max().filter(|newest| *newest > version) {
-            None => Ok(()),
-            Some(newest) => bail!(
-                "the repo holds version {newest}, and {} is version {version}; if it is to take its place: --delete \
-                 meta/manifest-{newest}.json",
-                dataset.root().display()
+        let (version, root) = (dataset.manifest().version, dataset.root());
+        let deleted = &push.preview().deleted;
+        let versions = push
+            .files_there()
+            .filter(|path| !deleted.iter().any(|deleted| deleted == path))
+            .filter_map(manifest_version);
+        let Some(newest) = versions.max() else {
+            return Ok(());
+        };
+        let (path, shown) = (format!("meta/manifest-{newest}.json"), root.display());
+        if newest > version {
+            bail!(
+                "the repo holds version {newest}, and {shown} is version {version}; if it is to take its place: --delete {path}"
+            );
+        }
+        let local = root.join(&path);
+        match local.is_file() {
+            _ if is_over => Ok(()),
+            true if push.is_equal(&path, &local)? => Ok(()),
+            true => bail!(
+                "the repo holds another version {newest} than {shown}: somebody published theirs since. Pull it into another \
+                 folder and merge both, or put this dataset in its place with --over"
+            ),
+            false => bail!(
+                "the newest version in the repo is {newest}, which {shown} no longer has, so nobody can tell whether this dataset \
+                 comes from it; if it does: --over"
             ),
         }
     }

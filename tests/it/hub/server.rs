@@ -375,7 +375,7 @@ fn revision(repo: &str, revision: &str, state: &State) -> Reply {
     let commits = &state.repos[repo];
     let newest = commit_name(commits.len() - 1);
     match revision == "main" || revision == newest {
-        true => Reply::json(&json!({ "sha": newest })),
+        true => Reply::json(&json!({ "sha": newest, "private": state.private.contains(repo) })),
         false => Reply::refused("404 Not Found", "RevisionNotFound", "no such revision"),
     }
 }

@@ -12,7 +12,7 @@ use super::checksum::Wanted;
 use super::client::Hub;
 use super::download::download;
 use super::error::Error;
-use super::repo::{Repo, RepoKind, Tree, commit_of, tree};
+use super::repo::{Repo, RepoKind, Tree, head_of, tree};
 
 /// Result of a pull.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -87,7 +87,8 @@ pub fn pull(
     if fs::symlink_metadata(out).is_ok() {
         return Err(exists());
     }
-    let commit = commit_of(hub, repo, revision)?.ok_or_else(|| Error::not_found(repo))?;
+    let head = head_of(hub, repo, revision)?.ok_or_else(|| Error::not_found(repo))?;
+    let commit = head.commit;
     let mut files = tree(hub, repo, &commit)?;
     // The folder name contains the commit, so that files of two commits are never mixed.
     let folder = out.with_file_name(format!(".{name}.{commit:.12}.part"));

@@ -1,6 +1,7 @@
 //! Publishing: one commit of the files that differ.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -9,10 +10,10 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::client::{Hub, JSON, quoted};
-use super::content::HubFile;
+use super::content::{Content, HubFile};
 use super::error::Error;
 use super::lfs::{self, Object};
-use super::repo::{Repo, Tree, commit_of, create, tree};
+use super::repo::{Repo, Tree, create, head_of, tree};
 
 /// Files per request that asks how files are stored; the server's maximum.
 const BATCH: usize = 256;
@@ -61,6 +62,8 @@ pub struct Push<'a> {
     options: PushOptions<'a>,
     /// The parent commit; `None` if the repo does not exist yet.
     parent: Option<String>,
+    /// The files of that commit.
+    there: Tree,
     changed: Vec<&'a HubFile>,
     preview: Pushed,
 }
@@ -69,14 +72,20 @@ impl<'a> Push<'a> {
     /// Compares files with those of a repo. Nothing is written.
     ///
     /// # Errors
-    /// A file to delete is not in the repo or is in this push, the server refuses or fails, or a file cannot be read.
+    /// A file to delete is not in the repo or is in this push, a repo that shall be private is public, the server refuses
+    /// or fails, or a file cannot be read.
     pub fn plan(
         hub: &'a Hub,
         repo: &'a Repo,
         files: &'a [HubFile],
         options: PushOptions<'a>,
     ) -> Result<Self, Error> {
-        let parent = commit_of(hub, repo, options.revision)?;
+        let head = head_of(hub, repo, options.revision)?;
+        if options.is_private && head.as_ref().is_some_and(|head| head.is_public) {
+            let problem = "the repo is there already, and public; make it private on the hub, or leave --private out";
+            return Err(Error::hub(&repo.name, problem));
+        }
+        let parent = head.map(|head| head.commit);
         let there = match &parent {
             Some(commit) => tree(hub, repo, commit)?,
             None => Tree::new(),
@@ -99,9 +108,31 @@ impl<'a> Push<'a> {
             repo,
             options,
             parent,
+            there,
             changed,
             preview,
         })
+    }
+
+    /// Paths of the files that the repo has.
+    pub fn files_there(&self) -> impl Iterator<Item = &str> {
+        self.there.keys().map(String::as_str)
+    }
+
+    /// Whether a file of the repo is equal to a local one.
+    ///
+    /// # Errors
+    /// The local file cannot be read.
+    pub fn is_equal(&self, path: &str, local: &Path) -> Result<bool, Error> {
+        let content = Content::File {
+            path: local.to_owned(),
+            sha256: None,
+        };
+        let size = content.size()?;
+        match self.there.get(path).filter(|there| there.len == Some(size)) {
+            Some(there) => content.has(&there.checksum, size),
+            None => Ok(false),
+        }
     }
 
     /// The changes that the commit will make.

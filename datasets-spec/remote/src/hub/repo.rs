@@ -127,9 +127,17 @@ impl fmt::Display for Repo {
     }
 }
 
-/// The commit of a revision (branch, tag or commit); `None` if there is no such repo. Without a token, a missing repo
+/// The state of a revision.
+pub(super) struct Head {
+    /// Id of the commit.
+    pub(super) commit: String,
+    /// Whether everybody can read the repo.
+    pub(super) is_public: bool,
+}
+
+/// The state of a revision (branch, tag or commit); `None` if there is no such repo. Without a token, a missing repo
 /// cannot be distinguished from a private one.
-pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<String>, Error> {
+pub(super) fn head_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<Head>, Error> {
     let address = format!("{}/revision/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub.ask(&address)?;
     let code = text_of(&answer.headers, "x-error-code");
@@ -143,7 +151,10 @@ pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option
     }
     let answer = answer.checked()?;
     match answer.body["sha"].as_str() {
-        Some(commit) if is_commit(commit) => Ok(Some(commit.to_owned())),
+        Some(commit) if is_commit(commit) => Ok(Some(Head {
+            commit: commit.to_owned(),
+            is_public: answer.body["private"] == false,
+        })),
         _ => Err(answer.malformed("names no commit")),
     }
 }
@@ -156,7 +167,7 @@ pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, E
     let mut found = Vec::new();
     for kind in [RepoKind::Dataset, RepoKind::Model] {
         let name = name.clone();
-        if commit_of(hub, &Repo { kind, name }, revision)?.is_some() {
+        if head_of(hub, &Repo { kind, name }, revision)?.is_some() {
             found.push(kind);
         }
     }

@@ -10,7 +10,7 @@ use super::label::{Subject, Subjects};
 use super::solve::Solvable;
 use crate::source::ReadOptions;
 use crate::source::unit::{Unit, misfit, suspected};
-use clip::check::{FLAG_GAPS_FILLED, FLAG_UP_DOUBTFUL};
+use clip::check::{FLAG_GAPS_FILLED, FLAG_SIDES_DOUBTFUL, FLAG_UP_DOUBTFUL};
 use clip::{Markers, Rejected, RotationSource, SourceClip, rejected};
 
 /// Code of captures whose markers cannot be solved.
@@ -52,6 +52,9 @@ impl Capture {
         clip.notes.extend(solved.notes);
         if solved.is_up_doubtful {
             clip.flags |= FLAG_UP_DOUBTFUL;
+        }
+        if solved.are_sides_doubtful {
+            clip.flags |= FLAG_SIDES_DOUBTFUL;
         }
         if solved.gaps > 0 {
             clip.flags |= FLAG_GAPS_FILLED;

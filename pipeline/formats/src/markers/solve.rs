@@ -8,6 +8,8 @@
 //! The alternation is that of MoSh (Loper et al. 2014) without body shape: a dataset has one body, so the capture is
 //! scaled to it instead.
 
+mod sides;
+
 use std::collections::BTreeSet;
 
 use datasets_spec::{Motion, Pose, Skeleton};
@@ -16,6 +18,7 @@ use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::{from_axis_angle, slerp, to_axis_angle};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
+use self::sides::mean;
 use super::error::{SolveError, some_of};
 use super::label::Subject;
 use super::part::{self, Part};
@@ -58,6 +61,8 @@ pub(super) struct Solved {
     pub(super) gaps: usize,
     /// Whether the person does not stand along the axis that was taken for up.
     pub(super) is_up_doubtful: bool,
+    /// Whether the front of the body is behind it, given which side is left.
+    pub(super) are_sides_doubtful: bool,
     /// The markers, rotated to y up, in captured size, with the set and the distances from the body's markers.
     pub(super) markers: Markers,
     /// Decisions that a user may want to check.
@@ -151,6 +156,8 @@ impl<'a> Solvable<'a> {
         solver
             .calibrate(&self.frames, &self.usable)
             .ok_or_else(no_body)?;
+        let are_sides_doubtful =
+            sides::front_is_behind(&self.worn, skeleton, &self.frames, &self.usable);
         let solved = solver.all(&self.frames, &self.usable);
         let (mut poses, fit_residuals, gaps) = solved.ok_or_else(no_body)?;
         let fps = self.markers.fps;
@@ -169,6 +176,12 @@ impl<'a> Solvable<'a> {
         if self.headless {
             notes.push("no marker is on the head: it follows the trunk".to_owned());
         }
+        if are_sides_doubtful {
+            notes.push(
+                "pelvis, head and feet face backwards, given which side is left: an axis of the file may be mirrored"
+                    .to_owned(),
+            );
+        }
         if !set.at_rest().is_empty() {
             let parts = part::names(set.at_rest());
             notes.push(format!("as at rest where no marker tells: {parts}"));
@@ -179,6 +192,7 @@ impl<'a> Solvable<'a> {
             motion,
             gaps,
             is_up_doubtful: !self.is_up_clear,
+            are_sides_doubtful,
             markers: self.markers,
             notes,
         })
@@ -323,24 +337,10 @@ impl<'a> Solver<'a> {
     /// An initial pose for a frame: the rest pose with hanging arms, turned about the vertical so that left and right
     /// fit.
     fn start(&self, points: &[Option<DVec3>]) -> Option<Body> {
-        let mean = |keep: &dyn Fn(usize) -> bool| -> Option<DVec3> {
-            let seen: Vec<DVec3> = (0..points.len())
-                .filter(|marker| keep(*marker))
-                .filter_map(|marker| points[marker])
-                .collect();
-            (!seen.is_empty())
-                .then(|| seen.iter().sum::<DVec3>() * (self.scale / seen.len() as f64))
-        };
-        // Distance of a marker to the left of the middle in the rest pose, in metres; 0 for those of the arms, which are left out.
-        let side = |marker: usize| match self.worn.joints[marker] {
-            16..=21 => 0.0,
-            joint => (self.skeleton.rest(joint) + self.worn.offsets[marker]).x,
-        };
-        let left = mean(&|marker| side(marker) > 0.03)?;
-        let right = mean(&|marker| side(marker) < -0.03)?;
-        let pelvis = mean(&|marker| self.worn.joints[marker] == 0)
-            .or_else(|| mean(&|marker| matches!(self.worn.joints[marker], 1 | 2)))?;
-        let across = (left - right).with_y(0.0).try_normalize()?;
+        let of_pelvis =
+            |joints: &[usize]| mean(points, |marker| joints.contains(&self.worn.joints[marker]));
+        let pelvis = of_pelvis(&[0]).or_else(|| of_pelvis(&[1, 2]))? * self.scale;
+        let across = sides::across(self.worn, self.skeleton, points)?;
         let front = across.cross(DVec3::Y);
         let facing = DQuat::from_mat3(&DMat3::from_cols(across, DVec3::Y, front)).normalize();
         let mut locals = [DQuat::IDENTITY; NUM_BODY_JOINTS];

@@ -519,7 +519,7 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
 ///
 /// The up axis is the mean direction from hips to head. That is unreliable for a person who lies or bends,
 /// so an axis other than y needs a clear majority.
-pub(super) fn up_of_source(mean_up: DVec3) -> (Up, bool) {
+pub(crate) fn up_of_source(mean_up: DVec3) -> (Up, bool) {
     /// Fraction of the mean direction that must lie along an axis other than y.
     const CLEAR: f64 = 0.7;
     let size = mean_up.abs();

@@ -25,13 +25,16 @@ use kinematics::MotionBuilder;
 use kinematics::rotation::slerp;
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
+pub(crate) use self::align::up_of_source;
 use self::align::{Alignment, SPINE};
 use self::confidence::Evidence;
 use self::track::{Track, TrackRest, leg_length};
 use self::user_map::RestPose;
 use crate::source::ReadOptions;
 use crate::source::Up;
-use clip::check::{FLAG_REFERENCE_DROPPED, FLAG_UP_DOUBTFUL};
+use clip::check::{
+    FLAG_REFERENCE_DROPPED, FLAG_SIDES_DOUBTFUL, FLAG_SKELETON_GUESSED, FLAG_UP_DOUBTFUL,
+};
 use clip::{Rejected, RotationSource, SourceClip};
 use features::floor;
 
@@ -75,7 +78,9 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
         .or(user_map.and_then(|map| map.up))
         .or_else(|| rig.up());
     let is_up_doubtful = set_upright(&mut track, stated_up, &mut notes);
-    notes.extend(facing_note(&track, mapping.origin));
+    let facing_note = facing_note(&track, mapping.origin);
+    let are_sides_doubtful = facing_note.is_some();
+    notes.extend(facing_note);
     let (alignment, origin) = from_rest.unwrap_or_else(|| {
         let alignment = align::by_motion(&track, skeleton);
         (alignment, "motion, as the zero pose is no standing one")
@@ -97,8 +102,13 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     if clip.source_frames.start > 0 {
         clip.flags |= FLAG_REFERENCE_DROPPED;
     }
-    if is_up_doubtful {
-        clip.flags |= FLAG_UP_DOUBTFUL;
+    let doubts = [
+        (FLAG_UP_DOUBTFUL, is_up_doubtful),
+        (FLAG_SIDES_DOUBTFUL, are_sides_doubtful),
+        (FLAG_SKELETON_GUESSED, mapping.origin == Origin::Topology),
+    ];
+    for (flag, _) in doubts.iter().filter(|(_, doubtful)| *doubtful) {
+        clip.flags |= flag;
     }
     clip.notes = notes;
     Ok(clip)

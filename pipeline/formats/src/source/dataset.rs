@@ -21,7 +21,7 @@ use super::stored_labels::StoredLabels;
 use super::{Files, ReadOptions};
 use clip::check::{
     FLAG_BODY_DOUBTFUL, FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED,
-    FLAG_ROW_COUNT, FLAG_TELEPORT, FLAG_UP_DOUBTFUL,
+    FLAG_ROW_COUNT, FLAG_SIDES_DOUBTFUL, FLAG_SKELETON_GUESSED, FLAG_TELEPORT, FLAG_UP_DOUBTFUL,
 };
 use clip::{Markers, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
@@ -31,6 +31,8 @@ const KEPT_FLAGS: u32 = FLAG_BODY_DOUBTFUL
     | FLAG_GAPS_FILLED
     | FLAG_REFERENCE_DROPPED
     | FLAG_ROW_COUNT
+    | FLAG_SIDES_DOUBTFUL
+    | FLAG_SKELETON_GUESSED
     | FLAG_TELEPORT
     | FLAG_UP_DOUBTFUL;
 const CODE: &str = "E-DATASET-FILE";

@@ -11,6 +11,7 @@ use datasets_spec::{Fps, Split};
 
 use super::files::Files;
 use super::options::ReadOptions;
+use super::up::Up;
 use crate::markers::{self, Capture};
 use clip::{MAX_FPS, MIN_FPS, Outcome, ReadClip, Rejected, rejected};
 
@@ -36,6 +37,8 @@ pub struct Format {
     pub bytes_per_second: f64,
     /// Whether each of its files holds one recording.
     pub is_of_files: bool,
+    /// The up axis of its files, for formats whose readers assume one that the files do not state.
+    pub(super) assumed_up: Option<Up>,
     /// Extensions of its files, in lower case.
     pub(super) extensions: &'static [&'static str],
     /// Judges a file with one of the extensions by its name in lower case and its first bytes: `Ok` if it is a motion,
@@ -72,6 +75,7 @@ impl Format {
             about,
             bytes_per_second,
             is_of_files: true,
+            assumed_up: None,
             extensions: &[],
             by_name: |_, _| Some(Ok(())),
             by_content: |_| false,

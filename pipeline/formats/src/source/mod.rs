@@ -4,6 +4,7 @@
 //! a [`SourceClip`](clip::SourceClip) holds SMPL-X parameters with y up and in metres. Nothing in this module panics on
 //! hostile bytes; every error becomes a [`Rejected`](clip::Rejected).
 
+mod assumed_up;
 mod files;
 mod format;
 mod head;
@@ -185,7 +186,12 @@ pub fn read_clip(
     if let Err(rejected) = refuse_pointer(bytes) {
         return Outcome::Rejected(rejected);
     }
-    let outcome = (format.read)(path, key, bytes, options);
+    let mut outcome = (format.read)(path, key, bytes, options);
+    if let (Outcome::Clip(clip), Some(assumed)) = (&mut outcome, format.assumed_up)
+        && let Err(rejected) = assumed_up::settle(clip, assumed, options)
+    {
+        return Outcome::Rejected(rejected);
+    }
     label(outcome, path, companions, around)
 }
 

@@ -66,6 +66,19 @@ fn a_known_walk_is_found_in_its_markers() {
 }
 
 #[test]
+fn a_mirrored_capture_is_doubtful_and_others_are_not() {
+    let (_, markers) = captured(30, 1.0);
+    assert!(!solved(&markers).expect("a body").are_sides_doubtful);
+    let mut mirrored = markers;
+    for [_, y, _] in &mut mirrored.positions {
+        *y = -*y;
+    }
+    let found = solved(&mirrored).expect("a body");
+    assert!(found.are_sides_doubtful, "{:?}", found.notes);
+    assert!(!found.is_up_doubtful);
+}
+
+#[test]
 fn gaps_are_bridged_and_counted() {
     let (poses, mut markers) = captured(60, 1.0);
     let count = markers.labels.len();

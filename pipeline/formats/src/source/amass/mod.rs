@@ -20,6 +20,8 @@ use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 pub use archive::{Parsed, parse_at, peek, read_fps};
 pub use parameters::{Parameters, Variant};
 
+/// The up axis of the files.
+const UP: Up = Up::Z;
 /// Relative tolerance between a stated and a known frame rate: the stored 120.000046 and 59.94 count as 120 and 60.
 const FPS_TOLERANCE: f64 = 0.01;
 
@@ -57,8 +59,7 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome,
     } else {
         resample::grid(num_frames, source_fps, target)
     };
-    let turn = options.up.unwrap_or(Up::Z).turn();
-    let motion = parameters.motion_at(&grid, turn, target, skeleton)?;
+    let motion = parameters.motion_at(&grid, UP.turn(), target, skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.source_frames = 0..num_frames;
     clip.source_fps = source_fps;
@@ -87,6 +88,7 @@ fn subset_note(path: &Path) -> Option<String> {
 // Bytes per second: SMPL-H at 120 fps in f8.
 pub const FORMAT: Format = Format {
     extensions: &["npz"],
+    assumed_up: Some(UP),
     by_name: |name, _| {
         let reason = match name {
             "shape.npz" => "body shape of a subject, no motion",

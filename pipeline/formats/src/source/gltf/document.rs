@@ -50,7 +50,9 @@ impl<'a> Document<'a> {
         })
     }
 
-    pub(super) fn keys(&self) -> Vec<String> {
+    /// Unique names of the animations. One without a name is named by its index, and a repeated name gets the index as a
+    /// suffix.
+    pub(super) fn names(&self) -> Vec<String> {
         let names = self.root.animations.iter();
         let names = names.map(|animation| animation.name.as_deref().unwrap_or_default());
         unique_keys(names, |index| index.to_string())

@@ -14,23 +14,59 @@ mod tests;
 
 use container::MAGIC;
 use document::Document;
+use gltf::json;
 use nodes::Tree;
 use performance::Performance;
-use skeleton::{Skeleton, skins_of_body};
+use skeleton::{Skeleton, moved_bodies};
 
 use super::format::Format;
 use super::options::ReadOptions;
-use crate::retarget;
+use crate::retarget::{self, Rig as _};
 use clip::{Outcome, Rejected, rejected};
 
-/// Unique names of the animations in a file; empty if there is none or the file is broken.
-///
-/// An animation without a name is named by its index, and a repeated name gets the index as a suffix.
+/// Unique names of the motions in a file; empty if there is none or the file is broken. A motion has the name of its
+/// animation; those of further bodies that the animation moves have a number too.
 pub fn keys(bytes: &[u8]) -> Vec<String> {
-    Document::parse(bytes).map_or_else(|_| Vec::new(), |document| document.keys())
+    let keys = || -> Result<Vec<String>, Rejected> {
+        let document = Document::parse(bytes)?;
+        let tree = Tree::of(&document.root.nodes)?;
+        let motions = motions(&document, &tree).into_iter();
+        Ok(motions.map(|motion| motion.key).collect())
+    };
+    keys().unwrap_or_default()
 }
 
-/// Reads one animation, or the first if the key is empty, and retargets it. A file without a moving skin is skipped.
+/// An animation of one body.
+struct OfBody<'a> {
+    key: String,
+    /// Name of the animation.
+    name: String,
+    animation: &'a json::Animation,
+    skins: Vec<&'a json::Skin>,
+    /// Place among the bodies of the animation.
+    number: usize,
+}
+
+/// The motions of a file with skins, by animation and body.
+fn motions<'a>(document: &'a Document, tree: &Tree) -> Vec<OfBody<'a>> {
+    let animations = document.root.animations.iter().zip(document.names());
+    let motions = animations.flat_map(|(animation, name)| {
+        let bodies = moved_bodies(document, tree, animation).into_iter();
+        bodies.enumerate().map(move |(number, skins)| OfBody {
+            key: match number {
+                0 => name.clone(),
+                _ => format!("{name} body {}", number + 1),
+            },
+            name: name.clone(),
+            animation,
+            skins,
+            number,
+        })
+    });
+    motions.collect()
+}
+
+/// Reads one motion, or the first if the key is empty, and retargets it. A file without a moving skin is skipped.
 ///
 /// # Errors
 /// `E-GLTF-CHUNK`, `E-GLTF-SYNTAX`, `E-GLTF-NODES`, `E-GLTF-KEY`, `E-GLTF-URI`, `E-GLTF-BUFFER`, `E-GLTF-ACCESSOR`,
@@ -49,30 +85,38 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     if document.root.skins.is_empty() {
         return no_motion("no skin in the file: its animations move objects, not a body");
     }
-    let names = document.keys();
-    let index = if key.is_empty() {
-        0
-    } else {
-        names.iter().position(|name| name == key).ok_or_else(|| {
-            rejected!(
-                "E-GLTF-KEY",
-                "found no animation {key} among {}",
-                names.len()
-            )
-        })?
-    };
-    let animation = &document.root.animations[index];
-    let skins = skins_of_body(&document, &tree, animation);
-    let skeleton = Skeleton::read(&document, &tree, &skins)?;
+    let motions = motions(&document, &tree);
+    let motion = motions
+        .iter()
+        .find(|motion| key.is_empty() || motion.key == key);
+    let OfBody {
+        name,
+        animation,
+        skins,
+        number,
+        ..
+    } = motion.ok_or_else(|| {
+        rejected!(
+            "E-GLTF-KEY",
+            "found no animation {key} among {}",
+            motions.len()
+        )
+    })?;
+    let skeleton = Skeleton::read(&document, &tree, skins)?;
     let Some(performance) = Performance::of(&skeleton, &document, animation)? else {
         return no_motion("the animation moves no joint of the skin");
     };
-    let mut clip = retarget::clip(&performance, options)?;
-    clip.notes.push(format!("animation {}", names[index]));
+    let mut clip = match retarget::clip(&performance, options) {
+        Err(rejected) if *number > 0 && rejected.code == performance.skeleton_code() => {
+            return no_motion("the animation moves no body with this skin, such as a prop");
+        }
+        read => read?,
+    };
+    clip.notes.push(format!("animation {name}"));
     let num_skins = document.root.skins.len();
     if num_skins > skins.len() {
         clip.notes.push(format!(
-            "the file has {num_skins} skins; {} of the body that the animation moves were read",
+            "the file has {num_skins} skins; {} of this body were read",
             skins.len()
         ));
     }
@@ -94,7 +138,7 @@ pub const FORMAT: Format = Format {
     read: |_, key, bytes, options| read(bytes, key, options).unwrap_or_else(Outcome::Rejected),
     ..Format::of_files(
         "gltf",
-        ".glb, or .gltf with embedded buffers; one motion for each animation; rotations are retargeted",
+        ".glb, or .gltf with embedded buffers; one motion for each animation and body; rotations are retargeted",
         50_000.0,
     )
 };

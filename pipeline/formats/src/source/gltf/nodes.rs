@@ -80,8 +80,23 @@ impl Local {
         }
     }
 
+    /// Whether the scale turns left into right.
+    pub(super) fn mirrors(&self) -> bool {
+        self.scale.element_product() < 0.0
+    }
+
     pub(super) fn is_finite(&self) -> bool {
         self.translation.is_finite() && self.rotation.is_finite() && self.scale.is_finite()
+    }
+}
+
+/// The half turn of a scale that is negative along two axes; the identity of one that is positive along all.
+fn half_turn(scale: DVec3) -> DQuat {
+    match scale.to_array().map(|along| along < 0.0) {
+        [false, true, true] => DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0),
+        [true, false, true] => DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0),
+        [true, true, false] => DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0),
+        _ => DQuat::IDENTITY,
     }
 }
 
@@ -111,7 +126,7 @@ impl World {
             linear: self.linear * linear,
             placed: Placed {
                 position: self.placed.position + self.linear * local.translation,
-                rotation: self.placed.rotation * local.rotation,
+                rotation: self.placed.rotation * local.rotation * half_turn(local.scale),
             },
         }
     }

@@ -14,14 +14,14 @@ use clip::{Rejected, rejected};
 /// Limit on bones: joints of the skin and the nodes above them.
 const MAX_BONES: usize = 4096;
 
-/// The skins of the body that an animation moves. The first is the one with the most joints among those that the animation
-/// moves, or among all if it moves none. Skins whose joints are ancestors or descendants of its joints belong to the same
-/// body, such as gloves and trousers.
-pub(super) fn skins_of_body<'a>(
+/// The skins of each body that an animation moves, or of one body if it moves none. The first skin of a body is the one
+/// with the most joints among those that the animation moves, and the first body that of the largest such skin. Skins
+/// whose joints are ancestors or descendants of each other belong to one body, such as gloves and trousers.
+pub(super) fn moved_bodies<'a>(
     document: &'a Document,
     tree: &Tree,
     animation: &json::Animation,
-) -> Vec<&'a json::Skin> {
+) -> Vec<Vec<&'a json::Skin>> {
     let moved: BTreeSet<usize> = animation
         .channels
         .iter()
@@ -30,9 +30,7 @@ pub(super) fn skins_of_body<'a>(
     let joints = |skin: &json::Skin| -> BTreeSet<usize> {
         skin.joints.iter().map(json::Index::value).collect()
     };
-    let skins = document.root.skins.iter().rev();
-    let main = skins.max_by_key(|skin| (!joints(skin).is_disjoint(&moved), skin.joints.len()));
-    let mut body: Vec<&json::Skin> = main.into_iter().collect();
+    let is_moved = |skin: &json::Skin| !joints(skin).is_disjoint(&moved);
     let above = |node: usize| {
         let parent = |node: &usize| tree.parents.get(*node).copied().flatten();
         std::iter::successors(Some(node), parent)
@@ -50,13 +48,20 @@ pub(super) fn skins_of_body<'a>(
         };
         lies_below(&own, &others) || lies_below(&others, &own)
     };
+    let mut left: Vec<&json::Skin> = document.root.skins.iter().collect();
+    let mut bodies: Vec<Vec<&json::Skin>> = Vec::new();
     loop {
-        let is_new = |skin: &&json::Skin| !body.iter().any(|known| std::ptr::eq(*known, *skin));
-        let mut others = document.root.skins.iter().filter(is_new);
-        match others.find(|skin| is_of_body(skin, &body)) {
-            Some(skin) => body.push(skin),
-            None => return body,
+        let skins = left.iter().enumerate().rev();
+        let main = skins.max_by_key(|(_, skin)| (is_moved(skin), skin.joints.len()));
+        let main = main.filter(|(_, skin)| is_moved(skin) || bodies.is_empty());
+        let Some((at, _)) = main else {
+            return bodies;
+        };
+        let mut body = vec![left.remove(at)];
+        while let Some(at) = left.iter().position(|skin| is_of_body(skin, &body)) {
+            body.push(left.remove(at));
         }
+        bodies.push(body);
     }
 }
 
@@ -98,6 +103,14 @@ impl Skeleton {
             return Err(rejected!(
                 "E-NOT-FINITE",
                 "node {} is not at a finite place",
+                order[bone]
+            ));
+        }
+        if let Some(bone) = locals.iter().position(Local::mirrors) {
+            return Err(rejected!(
+                "E-GLTF-SKELETON",
+                "the scale of node {} is negative, which mirrors the body: apply the scale in the program that wrote the \
+                 file",
                 order[bone]
             ));
         }

@@ -108,31 +108,40 @@ fn embedded_buffers_read_as_the_binary_chunk_does() {
     assert_eq!(clip_of(&glb), clip_of(&Parts::walking().embedded()));
 }
 
+/// A walk below a node with this rotation about the vertical and this scale.
+fn walking_below(degrees: f64, scale: [f64; 3]) -> Vec<u8> {
+    let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
+    let parts = Parts::walking().with(|json| {
+        let root = json["nodes"].as_array_mut().expect("nodes");
+        root.push(json!({ "rotation": [0.0, sin, 0.0, cos], "scale": scale, "children": [0] }));
+        json["scenes"][0]["nodes"] = json!([22, 23]);
+    });
+    parts.embedded()
+}
+
 #[test]
 fn a_turned_and_scaled_world_above_the_skeleton_does_not_matter() {
     let plain = clip_of(&Parts::walking().embedded());
-    let turned = Parts::walking().with(|json| {
-        // Exporters of scenes in centimetres write such a scale at the root; the bind pose does not contain it.
-        let root = json["nodes"].as_array_mut().expect("nodes");
-        root.push(json!({
-            "rotation": [0.0, 0.5_f64.sqrt(), 0.0, 0.5_f64.sqrt()],
-            "scale": [100.0, 100.0, 100.0],
-            "children": [0],
-        }));
-        json["scenes"][0]["nodes"] = json!([22, 23]);
-    });
-    let turned = clip_of(&turned.embedded());
     let heading = |clip: &SourceClip| {
         let pelvis = clip.motion.pose(0).rotations[0];
         kinematics::rotation::yaw(DMat3::from_quat(pelvis))
     };
-    let off = heading(&turned) - heading(&plain) - std::f64::consts::FRAC_PI_2;
-    assert!(off.abs() < 1e-5, "{off}");
-    let pairs = plain.motion.body_pose().iter().flatten();
-    let pairs = pairs.zip(turned.motion.body_pose().iter().flatten());
-    for (a, b) in pairs {
-        assert!((a - b).abs() < 1e-5, "{a} and {b}");
+    // Exporters of scenes in centimetres write such a scale at the root; the bind pose does not contain it. A scale that is
+    // negative along two axes is a half turn.
+    for (degrees, scale) in [(90.0, [100.0; 3]), (-90.0, [-1.0, 1.0, -1.0])] {
+        let turned = clip_of(&walking_below(degrees, scale));
+        let off = heading(&turned) - heading(&plain) - std::f64::consts::FRAC_PI_2;
+        assert!(off.sin().abs() < 1e-5 && off.cos() > 0.0, "{off}");
+        let pairs = plain.motion.body_pose().iter().flatten();
+        let pairs = pairs.zip(turned.motion.body_pose().iter().flatten());
+        for (a, b) in pairs {
+            assert!((a - b).abs() < 1e-5, "{a} and {b}");
+        }
     }
+    assert_eq!(
+        code(&walking_below(0.0, [-1.0, 1.0, 1.0])),
+        "E-GLTF-SKELETON"
+    );
 }
 
 #[test]
@@ -244,11 +253,69 @@ fn a_body_is_read_whole_whatever_its_skins_are() {
     });
     let beside_rope = clip_of(&beside_rope.embedded());
     assert_eq!(beside_rope.motion, plain.motion);
-    let said = "the file has 3 skins; 2 of the body that the animation moves were read";
+    let said = "the file has 3 skins; 2 of this body were read";
     assert!(
         beside_rope.notes.contains(&said.to_owned()),
         "{:?}",
         beside_rope.notes
+    );
+}
+
+#[test]
+fn two_people_of_one_animation_are_two_motions_and_a_prop_is_none() {
+    let plain = clip_of(&Parts::walking().embedded());
+    // A copy of the nodes and the channels: the same walk by a second person.
+    let people = Parts::walking().with(|json| {
+        let body = 22;
+        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        let first = nodes.len();
+        let mut copies: Vec<Value> = nodes[..body].to_vec();
+        for copy in &mut copies {
+            for child in copy["children"].as_array_mut().into_iter().flatten() {
+                *child = json!(child.as_u64().expect("a node") as usize + first);
+            }
+        }
+        nodes.extend(copies);
+        nodes.push(json!({ "translation": [0.0, 1.0, 0.0] }));
+        let mut skin = json["skins"][0].clone();
+        let joints = skin["joints"].as_array_mut().expect("joints");
+        for joint in joints {
+            *joint = json!(joint.as_u64().expect("a node") as usize + first);
+        }
+        let prop = first + body;
+        let skins = json["skins"].as_array_mut().expect("skins");
+        skins.extend([skin, json!({ "joints": [prop] })]);
+        let channels = json["animations"][0]["channels"].as_array_mut();
+        let channels = channels.expect("channels");
+        let mut second = channels.clone();
+        for channel in &mut second {
+            let node = channel["target"]["node"].as_u64().expect("a node") as usize;
+            channel["target"]["node"] = json!(node + first);
+        }
+        let mut of_prop = second[0].clone();
+        of_prop["target"]["node"] = json!(prop);
+        channels.extend(second);
+        channels.push(of_prop);
+    });
+    let bytes = people.embedded();
+    let keys = keys(&bytes);
+    let [walk, other, prop] = &keys[..] else {
+        panic!("{keys:?}");
+    };
+    assert_eq!(
+        (other, prop),
+        (&format!("{walk} body 2"), &format!("{walk} body 3"))
+    );
+    for key in [walk, other] {
+        match read(&bytes, key, &ReadOptions::default()) {
+            Ok(Outcome::Clip(clip)) => assert_eq!(clip.motion, plain.motion),
+            read => panic!("{key}: {read:?}"),
+        }
+    }
+    let of_prop = read(&bytes, prop, &ReadOptions::default());
+    assert!(
+        matches!(of_prop, Ok(Outcome::Skipped { .. })),
+        "{of_prop:?}"
     );
 }
 

@@ -19,6 +19,7 @@ use pickle::npy::Header;
 use array::{KIT_JOINTS, KIT_WIDTH};
 
 use super::format::Format;
+use super::up::Up;
 
 pub(crate) use array::{FPS, check_length, in_single_precision};
 pub use array::{features, joints, read_array};
@@ -66,6 +67,7 @@ fn read_lone(bytes: &[u8], skeleton: &Skeleton) -> ReadClip {
 // Bytes per second: the vectors in f4 at 20 fps.
 pub const FORMAT: Format = Format {
     extensions: &["npy"],
+    assumed_up: Some(Up::Y),
     by_name: |_, head| Some(recognise_array(head)),
     read: |_, _, bytes, options| read_lone(bytes, &options.skeleton).into(),
     find,

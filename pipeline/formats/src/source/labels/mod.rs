@@ -21,7 +21,7 @@ pub use self::folder::{FolderLabels, is_label_file, names_in_folder};
 pub use self::pattern::{is_pattern, matches};
 use crate::sidecar::{LabelCaption, Sidecar};
 use crate::source::head::{UTF8_BOM, refuse_pointer};
-use clip::{LabelProblem, SourceClip};
+use clip::{LabelProblem, RotationSource, SourceClip};
 
 /// Reads a file beside a motion by its name; `None` if it does not exist.
 type Companions<'a> = dyn Fn(&str) -> Option<Vec<u8>> + 'a;
@@ -55,6 +55,11 @@ pub fn attach(
         clip.label_problems.extend(problem);
         let captions = captions.into_iter().map(Into::into).collect();
         take_captions(&mut clip, captions);
+    }
+    // A file of rotations does not say how these were made; the sidecar of an export does.
+    if let Some(source) = &sidecar.rotation_source {
+        clip.rotation_source = RotationSource::of_name(source);
+        clip.fit_error_m = sidecar.fit_error_m;
     }
     state(&mut clip, sidecar, around);
     clip

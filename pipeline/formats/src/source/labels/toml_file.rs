@@ -49,7 +49,11 @@ pub(super) fn parse(text: &str) -> Content {
     }
     let of_clips = clips.iter().map(|(_, _, labels)| labels);
     for labels in of_clips.chain([&*all]) {
-        for (field, id) in [("id", &labels.id), ("mirrored_of", &labels.mirrored_of)] {
+        for (field, id) in [
+            ("id", &labels.id),
+            ("mirrored_of", &labels.mirrored_of),
+            ("rotation_source", &labels.rotation_source),
+        ] {
             problems.extend(id.as_ref().map(|id| {
                 format!("{field} {id:?} was not used: only the file STEM.stance.json beside a motion states it")
             }));

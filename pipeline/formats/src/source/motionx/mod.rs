@@ -19,6 +19,7 @@ use super::format::{Contents, Entry, Format, Release, boxed};
 use super::humanml3d::{SPLIT_LISTS, Splits, add_captions, lists_above};
 use super::names::{around_folder, is_number};
 use super::options::ReadOptions;
+use super::up::Up;
 use clip::ReadClip;
 
 pub use array::read_array;
@@ -27,6 +28,7 @@ pub use array::read_array;
 // Bytes per second: the columns in f4.
 pub const FORMAT: Format = Format {
     extensions: &["npy"],
+    assumed_up: Some(Up::Y),
     by_name: |_, head| {
         let shape = Header::peek_shape("array", head).ok()?;
         matches!(shape[..], [_, array::WIDTH]).then_some(Ok(()))

@@ -32,6 +32,7 @@ use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
 use super::head::refuse_pointer;
 use super::names::{around_folder, file_name};
 use super::options::ReadOptions;
+use super::up::Up;
 use clip::{EditOf, ReadClip, Rejected, SourceClip, rejected};
 
 pub use motion::read_pickle_motion;
@@ -48,6 +49,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 // Bytes per second: the parameters in f4 at 20 fps.
 pub const FORMAT: Format = Format {
     extensions: &["pkl", "pickle"],
+    assumed_up: Some(Up::Y),
     read: |_, _, bytes, options| motion::read_pickle(bytes, &options.skeleton),
     find,
     ..Format::of_releases(
