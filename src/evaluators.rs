@@ -133,7 +133,7 @@ struct Classifier<'a> {
 }
 
 impl MotionClassifier for Classifier<'_> {
-    fn composed(&self, motions: &[&Motion]) -> Result<Vec<f64>, EncoderError> {
+    fn composed(&self, motions: &[&Motion]) -> Result<Vec<Option<f64>>, EncoderError> {
         motions
             .iter()
             .map(|motion| Ok(self.network.composed_share(motion, self.skeleton)?))

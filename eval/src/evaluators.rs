@@ -25,11 +25,11 @@ pub trait MotionEncoder {
 
 /// A network that classifies motions as natural or composed of several motions.
 pub trait MotionClassifier {
-    /// The share of each motion's windows classified as composed, in [0, 1].
+    /// The share of each motion's windows classified as composed, in [0, 1]; `None` for a motion shorter than a window.
     ///
     /// # Errors
     /// The network's own error.
-    fn composed(&self, motions: &[&Motion]) -> Result<Vec<f64>, EncoderError>;
+    fn composed(&self, motions: &[&Motion]) -> Result<Vec<Option<f64>>, EncoderError>;
 }
 
 /// Networks and body model for measuring motions.

@@ -110,7 +110,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         format!(
             "80 items ({}, {}, {}; ids {digest}), 1 take, 2 repeats; 2 galleries of 32 (16 of 80 items left over in each \
              repeat), real queries, 300 diversity pairs, FID between halves of 40, floor at the lowest foot, seed 0, \
-             95 % intervals {intervals}; encoder {:.12} (smpl135 at 10 fps, trained on dataset {dataset:.12})",
+             95 % intervals {intervals}; encoder {:.12} (smpl135 at 10 fps of the first 10 s, trained on dataset {dataset:.12})",
             counted(targets, "target"),
             counted(sources, "source"),
             counted(instructions, "instruction"),

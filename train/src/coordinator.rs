@@ -364,11 +364,15 @@ impl TrainedCoordinator {
     }
 
     /// The share of a motion's windows classified as composed, in [0, 1]. Consecutive windows share the fixed frames,
-    /// as in an edit.
+    /// as in an edit. `None` if the motion is shorter than a window.
     ///
     /// # Errors
-    /// The motion is shorter than a window.
-    pub fn composed_share(&self, motion: &Motion, skeleton: &Skeleton) -> Result<f64, Error> {
+    /// The motion cannot be resampled.
+    pub fn composed_share(
+        &self,
+        motion: &Motion,
+        skeleton: &Skeleton,
+    ) -> Result<Option<f64>, Error> {
         let no_motion = motion_error::<kinematics::Error>("a motion to judge");
         let window = self.record.config.train.window;
         let compose = &self.record.config.compose.config;
@@ -378,11 +382,7 @@ impl TrainedCoordinator {
             .poses();
         let starts = window_starts(poses.len(), window, window - FIXED_FRAMES);
         if starts.is_empty() {
-            return Err(no_motion(kinematics::Error::TooShort {
-                frames: poses.len(),
-                fps: compose.fps.get(),
-                needed: window,
-            }));
+            return Ok(None);
         }
         let normalizer = &self.record.config.normalizer;
         let mut values = Vec::with_capacity(starts.len() * window * FRAME_WIDTH);
@@ -398,7 +398,7 @@ impl TrainedCoordinator {
             .iter()
             .filter(|&&probability| probability > 0.5)
             .count();
-        Ok(composed as f64 / judged.len() as f64)
+        Ok(Some(composed as f64 / judged.len() as f64))
     }
 
     /// The probability that each clean window was composed, `[B]`.

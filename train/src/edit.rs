@@ -12,7 +12,7 @@ use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINT
 use rayon::prelude::*;
 
 use crate::checkpoint::Slot;
-use crate::config::{GuidanceConfig, Preset, TrainConfig};
+use crate::config::{GuidanceConfig, Preset, TrainConfig, ensure};
 use crate::coordinator::TrainedCoordinator;
 use crate::error::motion_error;
 use crate::j2s::{PoseNet, Refinement, solve};
@@ -70,6 +70,7 @@ fn open(
         let coordinator = TrainedCoordinator::load(run, Slot::Best, device)?;
         editor = editor.with_coordinator(coordinator)?;
     }
+    check_guided_steps(&editor, config)?;
     let settings = settings(&editor, config);
     let identity = SystemIdentity {
         name: config
@@ -86,6 +87,15 @@ fn open(
         skeleton: skeleton.clone(),
         source: source.clone(),
     }))
+}
+
+/// Refuses to guide more steps than the diffusion has, or than the coordinator was trained for.
+fn check_guided_steps(editor: &Editor, config: &EditConfig) -> Result<(), Error> {
+    let Some((limit, steps)) = editor.guided_steps().zip(config.coordinator_steps) else {
+        return Ok(());
+    };
+    let problem = format!("it is {steps}, and the coordinator can guide the last {limit} steps");
+    ensure(steps <= limit, "coordinator_steps", problem)
 }
 
 fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {

@@ -32,8 +32,8 @@ pub fn render(tables: &[Table]) -> String {
 
 fn table_text(table: &Table) -> String {
     let mut text = String::new();
-    let first = table.unranked.iter().flat_map(|reason| wrapped(reason));
-    for line in first.chain(wrapped(&table.head())) {
+    let reason = table.unranked.iter().flat_map(|reason| wrapped(reason));
+    for line in wrapped(&table.head()).into_iter().chain(reason) {
         push_line(&mut text, &line);
     }
     // Columns of one family, such as the four of E2S, share a heading.

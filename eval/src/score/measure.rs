@@ -401,7 +401,7 @@ impl<'a> Measuring<'a> {
             .par_iter()
             .enumerate()
             .map(|(index, subject)| {
-                let composed = composed.as_ref().map(|shares| shares[index]);
+                let composed = composed.as_ref().and_then(|shares| shares[index]);
                 of_motions.values(subject, composed)
             })
             .collect();
@@ -428,12 +428,12 @@ impl<'a> Measuring<'a> {
         })
     }
 
-    /// Share of each motion's windows classified as composed; `None` without a classifier.
+    /// Share of each motion's windows classified as composed, if it has any; `None` without a classifier.
     fn classify(
         &self,
         subjects: &[Subject<'_>],
         motions: &[&Motion],
-    ) -> Result<Option<Vec<f64>>, Error> {
+    ) -> Result<Option<Vec<Option<f64>>>, Error> {
         let Some(classifier) = self.evaluators.classifier else {
             return Ok(None);
         };

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::library::{Clip, Subject};
 use super::novelty::{Novelty, Shown};
-use super::triplet::{Place, Triplet, within};
+use super::triplet::{Place, Triplet};
 use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 
 /// Preferred length of an item in windows: the paper edits clips of several segments, and the
@@ -563,9 +563,13 @@ impl Drawer<'_> {
     }
 
     /// The edited motion of an item, made with another capture of the same action in the same style: an upper bound for
-    /// editors. `None` without such a capture at least as long as a window or the item.
+    /// editors. `None` without such a capture at least as long as a window or the item, and for an edit of a part of the clip.
     fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
         let library = &self.library;
+        // A mask of a part of the clip says nothing about these frames of another take.
+        if item.edited_frames != (0..item.original.len()) {
+            return Ok(None);
+        }
         let target = library.captured(&item.target_id);
         let takes: Vec<&Clip> = library
             .other_takes(target)
@@ -598,9 +602,13 @@ impl Drawer<'_> {
                 original.expect("as long as the take or longer")
             }
         };
-        let blended = blend_motion(&under, &over, item.mask, item.alpha, self.config.slerp)?;
-        let Range { start, end } = item.edited_frames;
-        within(&under, blended, &(start.min(frames)..end.min(frames))).map(Some)
+        Ok(Some(blend_motion(
+            &under,
+            &over,
+            item.mask,
+            item.alpha,
+            self.config.slerp,
+        )?))
     }
 }
 

@@ -497,8 +497,24 @@ impl Plan {
                 // The coordinator must be trained on the windows of the editor that it guides.
                 let train: TrainConfig =
                     overlay(&TrainConfig::preset(self.preset), &sections["train"])?;
-                let shared = json!({ "window": train.window, "keypoints": train.keypoints });
-                Some(self.training(COORDINATOR, shared, seed, global)?)
+                let shared = json!({
+                    "window": train.window,
+                    "keypoints": train.keypoints,
+                    "schedule": train.diffusion.schedule,
+                    "diffusion_steps": train.diffusion.num_steps,
+                });
+                let coordinator = self.training(COORDINATOR, shared, seed, global)?;
+                // Its other composer settings are those of the plan, so that systems that differ in them share a coordinator.
+                let compose = ComposeConfig {
+                    fps: training.compose.fps,
+                    anchor: training.compose.anchor,
+                    range: training.compose.range,
+                    ..coordinator.compose
+                };
+                Some(Training {
+                    compose,
+                    ..coordinator
+                })
             }
             false => None,
         };

@@ -82,8 +82,12 @@ pub(crate) fn finish(
     let (ingested, _) =
         stages::dataset(&config.sources, &root, ingest, masks, pairs, seed, global)?;
     let (triplets, seed) = (plan.at("triplets"), Seed(plan.train.seed));
-    let (count, compose) = (config.triplets, &plan.compose);
-    stages::triplets([&root, &triplets], count, compose, seed, global)?;
+    // Whole clips, as they are recorded here, cannot be mirrored.
+    let compose = ComposeConfig {
+        mirrored_ratio: 0.0,
+        ..plan.compose.clone()
+    };
+    stages::triplets([&root, &triplets], config.triplets, &compose, seed, global)?;
     let dataset = Dataset::open(&root)?;
     let text_encoder = text_encoder(config.text_encoder.as_deref());
     let trained = train_all(&plan, &dataset, &text_encoder, trainings, global)?;

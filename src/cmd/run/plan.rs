@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::bail;
 use compose::{ComposeConfig, ItemConfig};
 use eval::protocol::Protocol;
 use pipeline::annotation::masks::MaskConfig;
@@ -10,7 +11,7 @@ use pipeline::ingest::SourceArg;
 use pipeline::stage::IngestConfig;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use train::config::{Preset, TrainConfig};
 use train::coordinator::CoordinatorConfig;
 use train::j2s::J2sConfig;
@@ -151,7 +152,9 @@ impl Plan {
         let train = Model::over(&TrainConfig::preset(preset), "train", own, seeds, global)?;
         let own = &config.encoder.settings();
         let encoder = Model::over(&TmrConfig::preset(preset), "encoder", own, seeds, global)?;
-        let (of_preset, own) = (CoordinatorConfig::preset(preset), &config.coordinator);
+        let editor = settings::over(&TrainConfig::preset(preset), "train", &config.train)?;
+        let of_preset = CoordinatorConfig::preset(preset);
+        let own = &guiding(&editor, &of_preset, &config.coordinator)?;
         let coordinator = Model::over(&of_preset, "coordinator", own, seeds, global)?;
         let own = &config.poses;
         let poses = Model::over(&J2sConfig::of(preset), "poses", own, seeds, global)?;
@@ -187,6 +190,47 @@ impl Plan {
             false => self.at("runs/tmr"),
         }
     }
+}
+
+/// The settings of a coordinator that guides this editor. Its window, keypoints and diffusion must be the editor's; those
+/// that differ from the preset are added to its own settings.
+fn guiding(
+    editor: &TrainConfig,
+    of_preset: &CoordinatorConfig,
+    own: &Map<String, Value>,
+) -> anyhow::Result<Map<String, Value>> {
+    let diffusion = &editor.diffusion;
+    let pairs = [
+        ("window", json!(editor.window), json!(of_preset.window)),
+        (
+            "keypoints",
+            json!(editor.keypoints),
+            json!(of_preset.keypoints),
+        ),
+        (
+            "schedule",
+            json!(diffusion.schedule),
+            json!(of_preset.schedule),
+        ),
+        (
+            "diffusion_steps",
+            json!(diffusion.num_steps),
+            json!(of_preset.diffusion_steps),
+        ),
+    ];
+    let mut all = own.clone();
+    for (key, of_editor, of_preset) in pairs {
+        match own.get(key) {
+            Some(given) if *given != of_editor => bail!(
+                "coordinator.{key} is {given}, and the editor that it guides has {of_editor}; leave it out"
+            ),
+            None if of_editor != of_preset => {
+                all.insert(key.to_owned(), of_editor);
+            }
+            _ => {}
+        }
+    }
+    Ok(all)
 }
 
 impl Model {

@@ -16,7 +16,7 @@ use super::sampler::{Condition, Guide, Sampler};
 use super::settings::{EditSettings, EditTimes};
 use super::windows::{WindowModel, WindowRequest, edit_windows};
 use crate::checkpoint::{RunRecord, Slot, open_for_use};
-use crate::config::narrowed;
+use crate::config::{GuidanceTarget, narrowed};
 use crate::coordinator::TrainedCoordinator;
 use crate::extrapolation::Extrapolation;
 use crate::fit::{EditorRecord, KIND};
@@ -133,6 +133,17 @@ impl Editor {
             return Ok(self);
         };
         Err(Error::misfit("the coordinator", problem))
+    }
+
+    /// How many of the last diffusion steps its coordinator can guide: all, or for guidance at the mean of the posterior,
+    /// those whose noise the coordinator was trained on. `None` without a coordinator.
+    pub fn guided_steps(&self) -> Option<usize> {
+        let config = &self.record.config.train;
+        let trained = &self.coordinator.as_ref()?.record().config.train;
+        Some(match config.coordinator.target {
+            GuidanceTarget::CleanPrediction => config.diffusion.num_steps,
+            GuidanceTarget::PosteriorMean => trained.noise_steps,
+        })
     }
 
     /// Whether the editor has a coordinator.

@@ -28,6 +28,26 @@ pub struct ClipEdit {
     pub source: Motion,
     /// The motion after the edit.
     pub target: Motion,
+    /// The first frame that the edit changes.
+    pub first_edited: usize,
+}
+
+impl ClipEdit {
+    /// Removes frames before the edit, but leaves at least the last `seconds` of the clip.
+    fn begin_at_edit(&mut self, seconds: f64) -> Result<(), Error> {
+        let shown = (seconds * self.source.fps().get()).floor() as usize;
+        let start = self
+            .first_edited
+            .min(self.source.len().saturating_sub(shown));
+        if start > 0 {
+            let from = |motion: &Motion| motion.crop(start..motion.len());
+            let [source, target] = [&self.source, &self.target]
+                .map(|motion| from(motion).map_err(motion_error(&self.instruction)));
+            (self.source, self.target) = (source?, target?);
+            self.first_edited -= start;
+        }
+        Ok(())
+    }
 }
 
 /// Training clips. Repeated reads of a clip give equal results.
@@ -53,6 +73,7 @@ impl ClipSource for Stream {
             instruction: triplet.instruction,
             source: triplet.original,
             target: triplet.edited,
+            first_edited: triplet.edited_frames.start,
         })
     }
 }
@@ -72,6 +93,7 @@ impl ClipSource for CapturedPairs {
             instruction: instruction.to_owned(),
             source,
             target,
+            first_edited: 0,
         })
     }
 }
@@ -208,7 +230,10 @@ impl ClipSampler<'_> {
     fn draw_one(&self, place: u64, epoch: u64, number: u64) -> Result<Drawn, Error> {
         let (config, skeleton) = (self.config, self.skeleton);
         let diffusion = &config.diffusion;
-        let clip = self.source.clip(epoch, number)?;
+        let mut clip = self.source.clip(epoch, number)?;
+        // The network sees the first frames of a clip; an edit later on would be an instruction that changes nothing.
+        let seconds = config.max_frames as f64 / config.fps.get();
+        clip.begin_at_edit(seconds)?;
         let features = |motion: &Motion| -> Result<Vec<FeatureFrame>, Error> {
             let features = features_of_motion(motion, config.fps, config.max_frames, skeleton);
             let mut features = features.map_err(motion_error(&clip.instruction))?;
@@ -281,8 +306,27 @@ mod tests {
                 instruction: format!("walk {number}"),
                 source: line(4 + number, 0.1),
                 target: line(6 + number, 0.2 + 0.1 * epoch as f64),
+                first_edited: 0,
             })
         }
+    }
+
+    #[test]
+    fn a_late_edit_is_among_the_frames_that_the_network_sees() {
+        let cropped = |first_edited: usize| {
+            let mut clip = ClipEdit {
+                instruction: "walk".to_owned(),
+                source: line(100, 0.1),
+                target: line(100, 0.2),
+                first_edited,
+            };
+            clip.begin_at_edit(6.0).expect("frames");
+            [clip.source.len(), clip.target.len(), clip.first_edited]
+        };
+        // Six seconds are 60 frames.
+        assert_eq!(cropped(0), [100, 100, 0]);
+        assert_eq!(cropped(30), [70, 70, 0]);
+        assert_eq!(cropped(80), [60, 60, 40]);
     }
 
     fn check(act: impl Fn(ClipSampler<'_>)) {

@@ -52,19 +52,20 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         config: request.compose.clone(),
         seed,
     };
-    let ([(train, texts), (val, val_texts)], dataset_hash) = match config.data {
-        ClipData::Pairs => (
-            [
+    let ([(train, texts), (val, val_texts)], num_short, tables) = match config.data {
+        ClipData::Pairs => {
+            let splits = [
                 captured(dataset, Split::Train)?,
                 captured(dataset, Split::Val)?,
-            ],
-            dataset.content_hash(&[MotionRow::TABLE, PairRow::TABLE]),
-        ),
-        ClipData::Composed => (
-            composed(dataset, request.compose, seed)?,
-            dataset.content_hash(&COMPOSED),
-        ),
+            ];
+            (splits, 0, &[MotionRow::TABLE, PairRow::TABLE][..])
+        }
+        ClipData::Composed => {
+            let (splits, num_short) = composed(dataset, request.compose, seed)?;
+            (splits, num_short, &COMPOSED[..])
+        }
     };
+    let dataset_hash = dataset.content_hash(tables);
     let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
     let encoder = request.text_encoder;
     let vectors = encoder.token_embeddings(run, &all, &config.text, session)?;
@@ -78,7 +79,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         compose: (config.data == ClipData::Composed).then_some(&record),
     };
     let report = train_tmed(request.start, &config, corpus, session)?;
-    Ok(Trained::from_report(report, run))
+    Ok(Trained::from_report(report.without(num_short), run))
 }
 
 type Clips = (Box<dyn ClipSource>, Vec<String>);
@@ -92,12 +93,19 @@ fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
     Ok((Box::new(CapturedPairs(library)), texts))
 }
 
-/// The composer's whole clips of the training and the validation split.
-fn composed(dataset: &Dataset, compose: &ComposeConfig, seed: Seed) -> Result<[Clips; 2], Error> {
+/// The composer's whole clips of the training and the validation split, and the number of masks and pairs of the training
+/// split that are too short.
+fn composed(
+    dataset: &Dataset,
+    compose: &ComposeConfig,
+    seed: Seed,
+) -> Result<([Clips; 2], u64), Error> {
     let (train, normalizer) = train_stream(dataset, compose, seed, None)?;
     let val = validation_stream(dataset, compose, seed, &normalizer)?;
-    Ok([train, val].map(|stream| -> Clips {
+    let num_short = train.num_short() as u64;
+    let clips = [train, val].map(|stream| -> Clips {
         let texts = stream.instructions();
         (Box::new(stream), texts)
-    }))
+    });
+    Ok((clips, num_short))
 }

@@ -157,12 +157,13 @@ impl TmrEncoder {
         self
     }
 
-    /// Features and training data of the encoder, in words.
+    /// Features of the encoder, how much of a motion it reads, and its training data, in words.
     pub fn description(&self) -> String {
         format!(
-            "{} at {} fps, trained on dataset {:.12}",
+            "{} at {} fps of the first {:.0} s, trained on dataset {:.12}",
             self.recipe().name(),
             self.fps(),
+            self.max_frames as f64 / self.fps(),
             self.dataset_hash
         )
     }
@@ -187,7 +188,8 @@ impl TmrEncoder {
         &self.hash
     }
 
-    /// The mean latent vector of each motion, `[d]`.
+    /// The mean latent vector of each motion, `[d]`. Of a longer motion, it is that of the first frames that the encoder
+    /// reads.
     ///
     /// # Errors
     /// A motion cannot be resampled to the encoder's rate, or is too short for its features.

@@ -45,6 +45,7 @@ impl ClipSource for Arms {
             instruction: INSTRUCTIONS[edited].to_owned(),
             source: arm(frames, speed, 0.0),
             target: arm(frames + 2, speed, [1.0, -1.0][edited]),
+            first_edited: 0,
         })
     }
 }

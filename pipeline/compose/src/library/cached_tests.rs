@@ -263,3 +263,28 @@ fn a_row_that_states_another_length_is_refused() {
     let unfinished = frame_files(folder.path());
     assert!(unfinished.is_empty(), "{unfinished:?}");
 }
+
+#[test]
+fn a_condition_that_selects_other_clips_than_before_reads_those() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // Two clips of one length, so that nothing but their motions tells them apart.
+    let clips = ["one", "other"].map(|id| {
+        let motion = fixture::wandering(id, fixture::SPAN + 40);
+        (id, fixture::motion_row(id, Split::Train, &motion), motion)
+    });
+    let rows = clips.each_ref().map(|(_, row, _)| row.clone());
+    let masks = clips
+        .each_ref()
+        .map(|(id, ..)| fixture::mask_row(id, Split::Train, BodyPart::ALL[0]));
+    let dataset = committed(&folder.path().join("dataset"), &rows, &masks, &[]);
+    for (id, row, motion) in &clips {
+        let of_one = dataset.of_clips("has_mask", [row.id.clone()].into());
+        let library = Library::read(&of_one, Split::Train, &cache(folder.path()));
+        let library = Arc::new(library.expect("a library"));
+        let found = library
+            .captured(&row.id)
+            .crop(0..motion.len())
+            .expect("read");
+        assert_eq!(&found, motion, "{id}");
+    }
+}

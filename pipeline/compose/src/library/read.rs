@@ -43,11 +43,15 @@ impl Library {
             let clips = shards.iter().flat_map(|(.., clips)| clips);
             clips.map(|(_, clip)| clip)
         };
-        // The shards' hashes identify the motions and their order; a condition selects some of them.
+        // The shards' hashes identify the motions and their order. A condition selects some of them; the same condition may
+        // select others once the masks or pairs of the dataset change.
         let mut hasher = blake3::Hasher::new();
-        hasher.update(dataset.condition().unwrap_or_default().as_bytes());
-        for (_, hash, _) in &shards {
+        for (_, hash, clips) in &shards {
             hasher.update(hash.as_bytes());
+            hasher.update(&clips.len().to_le_bytes());
+            for (place, _) in clips {
+                hasher.update(&place.to_le_bytes());
+            }
         }
         let key = hasher.finalize().to_hex().to_string();
         let fps = match all().next() {
