@@ -153,7 +153,7 @@ impl JudgeReport {
     pub fn weakness(&self) -> Option<String> {
         let [texts, motions] = [&self.text_to_motion, &self.motion_to_text];
         let lower = texts.r3.lower.min(motions.r3.lower);
-        // With few captions chance is high; then half of the way from chance to 100 % is needed.
+        // With few captions, three times chance may exceed 100 %; halfway from chance to 100 % suffices.
         let chance = self.chance.r3;
         let needed = (CHANCE_FACTOR * chance).min((100.0 + chance) / 2.0);
         // A comparison with NaN is false.
@@ -413,4 +413,41 @@ pub(crate) fn unranked<'a>(
             told.ci95.unwrap_or(0.0)
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_encoder_must_be_far_from_chance_and_can_be_where_chance_is_high() {
+        let ranks = |lower: f64, chance: f64| {
+            let bounded = Bounded { mean: lower, lower };
+            let recalls = Recalls {
+                r1: bounded,
+                r3: bounded,
+            };
+            let report = JudgeReport {
+                format: FORMAT,
+                encoder_hash: String::new(),
+                dataset_hash: String::new(),
+                split: "val".to_owned(),
+                seed: 0,
+                clips: 32,
+                texts: 8,
+                gallery: 32,
+                repeats: 1,
+                text_to_motion: recalls,
+                motion_to_text: recalls,
+                chance: Recalls {
+                    r1: chance / 3.0,
+                    r3: chance,
+                },
+            };
+            report.weakness().is_none()
+        };
+        assert!(ranks(30.0, 10.0) && !ranks(29.9, 10.0));
+        // Three times this chance is more than 100 %: halfway to 100 % is enough, chance is not.
+        assert!(ranks(70.0, 40.0) && !ranks(69.9, 40.0) && !ranks(40.0, 40.0));
+    }
 }

@@ -245,10 +245,13 @@ fn added<'a>(
     [known, own]: &[Vec<Clip>; 2],
     sources: &'a MergedSources,
 ) -> Result<Part<'a>, Error> {
-    let by_id: BTreeMap<&MotionId, &str> = known
-        .iter()
-        .map(|clip| (&clip.origin.id, clip.content.as_str()))
-        .collect();
+    let by_id: BTreeMap<&MotionId, &Clip> =
+        known.iter().map(|clip| (&clip.origin.id, clip)).collect();
+    // Captures without a motion have no content; their files tell them apart.
+    let is_same = |known: &Clip, content: &str, origin: &Origin| match content {
+        "" => known.content.is_empty() && known.origin.source_hash == origin.source_hash,
+        content => known.content == content,
+    };
     let mut part = Part::new(second, 1, sources, &sources.label);
     part.splits = moved([first, second], [known, own])?;
     let all = known.iter().chain(own);
@@ -259,8 +262,7 @@ fn added<'a>(
     {
         let id = &origin.id;
         match by_id.get(id) {
-            // Captures without a motion have no content that would tell them apart.
-            Some(known) if known == content && !content.is_empty() => {
+            Some(known) if is_same(known, content, origin) => {
                 part.shared.insert(id.clone());
             }
             Some(_) => {

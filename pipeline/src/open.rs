@@ -75,6 +75,7 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<SourceClip, Erro
     };
     let names = outcomes.iter().map(|(name, _)| name.as_str());
     let names = names.collect::<Vec<_>>().join(", ");
+    let key_is_missing = key.is_none();
     match key {
         Some(key) => {
             outcomes.retain(|(name, _)| *name == key);
@@ -83,11 +84,17 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<SourceClip, Erro
                 return Err(refused(NO_MOTION, reason));
             }
         }
-        None if outcomes.len() > 1 => {
-            let reason = format!("it holds several motions; name one, as FILE#NAME: {names}");
-            return Err(refused(SEVERAL_MOTIONS, reason));
+        None => {
+            // What moves no body, such as a prop, is none to choose from.
+            let is_skipped = |outcome: &Outcome| matches!(outcome, Outcome::Skipped { .. });
+            if outcomes.iter().any(|(_, outcome)| !is_skipped(outcome)) {
+                outcomes.retain(|(_, outcome)| !is_skipped(outcome));
+            }
         }
-        None => {}
+    }
+    if key_is_missing && outcomes.len() > 1 {
+        let reason = format!("it holds several motions; name one, as FILE#NAME: {names}");
+        return Err(refused(SEVERAL_MOTIONS, reason));
     }
     match outcomes.into_iter().next().map(|(_, outcome)| outcome) {
         None => Err(refused(NO_MOTION, "it holds no motion".to_owned())),

@@ -12,8 +12,8 @@ use serde_json::{Value, json};
 
 use crate::annotate::{accept, from_json, settings};
 use crate::util::{
-    Ran, arg, assert_has, commit, exported, ingested, json_of, len_of, motions_of, put, rows_of,
-    stance, typed, typed_with,
+    Ran, arg, assert_has, commit, dataset_of, exported, ingested, json_of, len_of, motions_of, put,
+    rows_of, stance, typed, typed_with,
 };
 
 /// Number of rejected pairs among the answers.
@@ -626,4 +626,27 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
     let done: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     assert_eq!(done["notes"]["left_out"]["masks"], masks, "{done}");
+}
+
+#[test]
+fn how_rotations_were_made_and_how_well_they_fit_goes_along_with_exports() {
+    let (dir, dataset) = dataset_of(4, &[]);
+    let [positions, fitted] = ["positions", "fitted"].map(|name| dir.path().join(name));
+    typed("export {} --to humanml3d --out {}", &[&dataset, &positions]).expect_code(0);
+    ingested(&positions, &fitted, &[]);
+    let made = |dataset: &Path| -> BTreeMap<String, (String, Option<f32>)> {
+        let rows = motions_of(dataset).into_iter();
+        rows.map(|(id, row)| (id, (row.rotation_source, row.fit_error_m)))
+            .collect()
+    };
+    let expected = made(&fitted);
+    let is_told = |(source, error): &(String, Option<f32>)| source != "native" && error.is_some();
+    assert!(expected.values().all(is_told), "{expected:?}");
+    for layout in ["amass", "bvh", "gltf"] {
+        let [files, back] =
+            ["files", "back"].map(|name| dir.path().join(format!("{layout}-{name}")));
+        typed("export {} --to {} --out {}", &[&fitted, &layout, &files]).expect_code(0);
+        ingested(&files, &back, &[]);
+        assert_eq!(made(&back), expected, "{layout}");
+    }
 }

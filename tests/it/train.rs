@@ -398,6 +398,11 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         let line = format!("{edit} --text wave --out @none.npz {more}");
         workshop.typed(&line).expect_refused(said);
     }
+    let line =
+        format!("{edit} --text wave --coordinator @guide --coordinator-steps 99 --out @none.npz");
+    workshop
+        .typed(&line)
+        .expect_refused("the coordinator can guide the last 20 steps");
     let outs = magic.map(|(ending, _)| format!(" --out @edit.{ending}"));
     let made: Value = workshop.json(&format!(
         "{edit} --coordinator @guide --coordinator-strength 2.5 --out @table {} \

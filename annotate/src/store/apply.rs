@@ -303,7 +303,7 @@ impl Change<'_> {
                 let blind = tx.number(blind, params![task, actor])? != 0;
                 self.lease_to_actor(tx, Purpose::Annotate, *expires, blind)?;
                 self.forget(tx, "gold_score")?;
-                // An answer that was taken back counts once it is handed in again.
+                // An answer that was taken back does not count until it is handed in again.
                 tx.run(
                     "UPDATE work SET answers = 0 WHERE seq = (
                        SELECT MAX(seq) FROM work WHERE task = ?1 AND usr = ?2 AND answers = 1)",

@@ -326,7 +326,7 @@ impl Deciding<'_> {
             let state = rows::task(tx, id)?.state;
             Ok(ReviewDone { seq, state })
         })?;
-        // The next entry can only be written after this one is stored.
+        // Reservations exist only once the decision is applied and stored.
         leases::free_of_the_disabled(tx, id, actor, self.turn.now)?;
         let state = rows::task(tx, id)?.state;
         Ok(ReviewDone { state, ..done })

@@ -201,8 +201,8 @@ impl Transaction {
         self.publish(manifest, &commit.plan_hash)
     }
 
-    /// Facts of an older version once it is restored: what people rejected since stays rejected, and facts of
-    /// annotation projects stay.
+    /// Facts of an older version once it is restored: what people rejected since stays rejected, and an
+    /// annotation project that exported since stays known.
     ///
     /// # Errors
     /// As [`Manifest::fact`].
@@ -213,10 +213,14 @@ impl Transaction {
             add_rejected(&mut masks, base.rejected_masks()?);
         }
         let mut facts = of.facts.clone();
-        // Facts of annotation projects describe the newest version.
-        let known = self.base.iter().flat_map(|base| &base.facts);
-        let known = known.filter(|(name, _)| name.starts_with(ANNOTATE_FACTS));
-        facts.extend(known.map(|(name, value)| (name.clone(), value.clone())));
+        // A version from before the first export of a project does not know the project; without it, the next export would
+        // not see what others rejected since.
+        let is_of_project = |name: &String| name.starts_with(ANNOTATE_FACTS);
+        if !facts.keys().any(is_of_project) {
+            let known = self.base.iter().flat_map(|base| &base.facts);
+            let known = known.filter(|(name, _)| is_of_project(name));
+            facts.extend(known.map(|(name, value)| (name.clone(), value.clone())));
+        }
         if pairs != of.rejected_pairs()? {
             let pairs = serde_json::to_string(&pairs).expect("texts serialise");
             facts.insert(REJECTED_PAIRS_FACT.to_owned(), pairs);

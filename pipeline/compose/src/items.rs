@@ -566,7 +566,7 @@ impl Drawer<'_> {
     /// editors. `None` without such a capture at least as long as a window or the item, and for an edit of a part of the clip.
     fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
         let library = &self.library;
-        // A mask of a part of the clip says nothing about these frames of another take.
+        // The frames of a mask show another moment in another take.
         if item.edited_frames != (0..item.original.len()) {
             return Ok(None);
         }

@@ -34,8 +34,8 @@ pub struct Restored {
     /// Newer labels by people that are lost, because the restored version does not have their clips, or has other
     /// motions. The previous version keeps them.
     pub lost: Vec<LostLabel>,
-    /// Number of automatic masks of the restored version that the result does not contain, because people have described
-    /// their clips since and left them out.
+    /// Number of automatic masks of the restored version that are left out, because people have since described their clips
+    /// without them.
     pub gave_way: u64,
     /// Ids of pairs and masks of the restored version that people have rejected since; the result does not contain them.
     pub rejected: Vec<String>,
@@ -211,7 +211,14 @@ impl Merge {
             .labels
             .masks
             .extract_if(.., |id, mask| is_left_out(id, mask));
-        self.gave_way += left_out.count() as u64;
+        // A mask of the same parts takes the place of an automatic one; nothing is lost then.
+        let parts = now
+            .masks
+            .values()
+            .map(|mask| (&mask.motion_id, mask.parts.as_slice()));
+        let parts: BTreeSet<(&MotionId, &[String])> = parts.collect();
+        let is_gone = |mask: &MaskRow| !parts.contains(&(&mask.motion_id, mask.parts.as_slice()));
+        self.gave_way += left_out.filter(|(_, mask)| is_gone(mask)).count() as u64;
     }
 
     /// Adds a mask. It replaces an automatic mask of the same parts, as when the mask was made.

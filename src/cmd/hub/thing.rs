@@ -145,13 +145,19 @@ impl Thing {
                 "the repo holds version {newest}, and {shown} is version {version}; if it is to take its place: --delete {path}"
             );
         }
+        // Whoever deletes newer versions says that this dataset takes their place.
+        let is_over = is_over
+            || deleted
+                .iter()
+                .filter_map(|path| manifest_version(path))
+                .any(|old| old > version);
         let local = root.join(&path);
         match local.is_file() {
             _ if is_over => Ok(()),
             true if push.is_equal(&path, &local)? => Ok(()),
             true => bail!(
                 "the repo holds another version {newest} than {shown}: somebody published theirs since. Pull it into another \
-                 folder and merge both, or put this dataset in its place with --over"
+                 folder and make your changes there, or put this dataset in its place with --over"
             ),
             false => bail!(
                 "the newest version in the repo is {newest}, which {shown} no longer has, so nobody can tell whether this dataset \

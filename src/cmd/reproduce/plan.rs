@@ -497,12 +497,16 @@ impl Plan {
                 // The coordinator must be trained on the windows of the editor that it guides.
                 let train: TrainConfig =
                     overlay(&TrainConfig::preset(self.preset), &sections["train"])?;
-                let shared = json!({
-                    "window": train.window,
-                    "keypoints": train.keypoints,
-                    "schedule": train.diffusion.schedule,
-                    "diffusion_steps": train.diffusion.num_steps,
-                });
+                let mut shared = json!({ "window": train.window, "keypoints": train.keypoints });
+                // Settings of the preset are left out, so that trainings of former versions keep their names.
+                let (diffusion, of_preset) =
+                    (train.diffusion, CoordinatorConfig::preset(self.preset));
+                if diffusion.schedule != of_preset.schedule {
+                    shared["schedule"] = json!(diffusion.schedule);
+                }
+                if diffusion.num_steps != of_preset.diffusion_steps {
+                    shared["diffusion_steps"] = json!(diffusion.num_steps);
+                }
                 let coordinator = self.training(COORDINATOR, shared, seed, global)?;
                 // Its other composer settings are those of the plan, so that systems that differ in them share a coordinator.
                 let compose = ComposeConfig {

@@ -261,3 +261,29 @@ pub(super) struct Trained {
     /// Whether there is an editor trained only on captured pairs.
     pub(super) is_captured_alone: bool,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_coordinator_sees_the_windows_and_the_noise_of_its_editor() {
+        let preset = Preset::Tiny;
+        let of_preset = CoordinatorConfig::preset(preset);
+        let mut editor = TrainConfig::preset(preset);
+        let of = |editor: &TrainConfig, own: Value| {
+            let own = own.as_object().cloned().unwrap_or_default();
+            guiding(editor, &of_preset, &own)
+                .map(Value::Object)
+                .map_err(|error| error.to_string())
+        };
+        assert_eq!(of(&editor, json!({})), Ok(json!({})));
+        editor.window = 20;
+        editor.diffusion.num_steps = 50;
+        let added = json!({ "window": 20, "diffusion_steps": 50 });
+        assert_eq!(of(&editor, json!({})), Ok(added.clone()));
+        assert_eq!(of(&editor, added.clone()), Ok(added));
+        let refused = of(&editor, json!({ "window": 16 })).expect_err("another window");
+        assert!(refused.contains("coordinator.window is 16"), "{refused}");
+    }
+}

@@ -88,7 +88,7 @@ pub fn train_mld<'a>(
         pads_to_max: false,
         seed: seed.derive(&[name]),
     };
-    // Another device computes it to other last digits, and a run goes on with the value that it began with.
+    // Another device gives other last digits, so a resumed run keeps the value that it began with.
     let known = start.fitted::<MldRecord>(KIND)?;
     let known = known.filter(|known| known.autoencoder == autoencoder.hash);
     let latent_std = match known {

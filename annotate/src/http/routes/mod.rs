@@ -50,7 +50,7 @@ pub static ROUTES: &[Route] = routes! {
     GET "/api/v1/prefs" ANNOTATOR |cx| json(&cx.store().prefs(cx.user()?)?);
     PUT "/api/v1/prefs" ANNOTATOR home::put_prefs;
     GET "/api/v1/guide" ANNOTATOR guide::guide;
-    PUT "/api/v1/guide/{kind}" ADMIN guide::put_guide;
+    PUT "/api/v1/guide/{kind}" ADMIN guide::put_guide, up to MAX_SETTINGS_BYTES;
     GET "/api/v1/guide/pictures" ANNOTATOR |cx| json(&cx.store().pictures()?);
     GET "/api/v1/guide/pictures/{name}" ANNOTATOR guide::picture;
     PUT "/api/v1/guide/pictures/{name}" ADMIN guide::put_picture, up to MAX_PICTURE_BYTES;

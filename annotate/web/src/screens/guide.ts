@@ -2,6 +2,7 @@
 
 import { html, nothing, type TemplateResult } from "lit";
 import { live } from "lit/directives/live.js";
+import { ApiError } from "../api";
 import type { App, Screen } from "../app";
 import { Component, action, define } from "../components/component";
 import { fill, h, type Child } from "../dom";
@@ -30,7 +31,7 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
     draw();
   };
   const open = (section: HTMLElement, of: TaskKind | null, title: string, start: KindGuide, save: (change: GuideChange) => Promise<unknown>): void => {
-    const editor = new GuideEditor(app, of, title, start, (change) => save(change).then(reload), draw);
+    const editor = new GuideEditor(app, of, title, start, (change) => save(change).then(reload), () => void reload());
     fill(section, editor);
   };
   const editKind = (): void =>
@@ -50,8 +51,10 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 /** Text and pictures of a guide, with a preview. Unsaved text is kept in the browser. */
 class GuideEditor extends Component {
   /** The guide as it was when its editing began, which may have been before the page was opened. */
-  private readonly base: KindGuide;
+  private base: KindGuide;
   private guide: KindGuide;
+  /** Text that somebody else saved meanwhile. */
+  private theirs: string | null = null;
   private readonly kept: string;
   /**
    * Names of the pictures that the guide had or that were uploaded. Those that no guide shows after saving are
@@ -105,6 +108,7 @@ class GuideEditor extends Component {
         <div>
           <label class="field">Text<textarea rows="14" .value=${live(text)} @input=${(event: Event) => this.change({ text: valueOf(event) })}></textarea></label>
           <p class="note">${how}</p>
+          ${this.theirs === null ? nothing : html`<h3>Saved by somebody else</h3><div class="box">${formatGuide(this.theirs)}</div>`}
           ${this.kind === null ? nothing : more}
         </div>
         <div>
@@ -143,7 +147,16 @@ class GuideEditor extends Component {
   private async commit(): Promise<void> {
     const unnamed = this.guide.pictures.find((picture) => picture.caption.trim() === "");
     if (unnamed) throw new Error(`say in the caption what ${unnamed.name} shows`);
-    await this.save({ was: this.base, now: this.guide });
+    try {
+      await this.save({ was: this.base, now: this.guide });
+    } catch (error) {
+      if (!(error instanceof ApiError) || error.code !== "setting_changed") throw error;
+      const { text, kinds } = await this.app.api.get<Guide>("guide");
+      this.base = this.kind === null ? { text, pictures: [] } : (kinds[this.kind] ?? { text: "", pictures: [] });
+      this.theirs = this.base.text;
+      this.change({});
+      throw new Error("somebody saved this guide meanwhile; their text is below yours, and saving again replaces it");
+    }
     localStorage.removeItem(this.kept);
     this.app.toasts.show("The guide is saved.");
     await this.sweep();

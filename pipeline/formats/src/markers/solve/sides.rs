@@ -30,8 +30,7 @@ pub(super) fn across(
     (left - right).with_y(0.0).try_normalize()
 }
 
-/// Whether the markers that the set has in front on the pelvis, the head and the feet lie behind the others of the same
-/// part.
+/// Whether the markers at the front of pelvis, head and feet lie behind the other markers of the same part.
 pub(super) fn front_is_behind(
     worn: &LabelledMarkers,
     skeleton: &Skeleton,

@@ -21,7 +21,7 @@ use skeleton::{Skeleton, moved_bodies};
 
 use super::format::Format;
 use super::options::ReadOptions;
-use crate::retarget::{self, Rig as _};
+use crate::retarget;
 use clip::{Outcome, Rejected, rejected};
 
 /// Unique names of the motions in a file; empty if there is none or the file is broken. A motion has the name of its
@@ -35,6 +35,9 @@ pub fn keys(bytes: &[u8]) -> Vec<String> {
     };
     keys().unwrap_or_default()
 }
+
+/// Code of a skeleton that is no body.
+const NO_BODY: &str = "E-GLTF-SKELETON";
 
 /// An animation of one body.
 struct OfBody<'a> {
@@ -102,14 +105,16 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
             motions.len()
         )
     })?;
-    let skeleton = Skeleton::read(&document, &tree, skins)?;
+    let prop = "the animation moves no body with this skin, such as a prop";
+    let skeleton = match Skeleton::read(&document, &tree, skins) {
+        Err(rejected) if *number > 0 && rejected.code == NO_BODY => return no_motion(prop),
+        read => read?,
+    };
     let Some(performance) = Performance::of(&skeleton, &document, animation)? else {
         return no_motion("the animation moves no joint of the skin");
     };
     let mut clip = match retarget::clip(&performance, options) {
-        Err(rejected) if *number > 0 && rejected.code == performance.skeleton_code() => {
-            return no_motion("the animation moves no body with this skin, such as a prop");
-        }
+        Err(rejected) if *number > 0 && rejected.code == NO_BODY => return no_motion(prop),
         read => read?,
     };
     clip.notes.push(format!("animation {name}"));

@@ -246,6 +246,16 @@ impl Sidecar {
                 report(format!("{name} {text:?} is no id of a clip"));
             }
         }
+        let is_origin = |name: &String| RotationSource::of_name(name).as_str() == name;
+        if let Some(name) = self.rotation_source.take_if(|name| !is_origin(name)) {
+            report(format!(
+                "rotation_source {name:?} is none of native, retargeted and fitted"
+            ));
+        }
+        let is_error = |error: &f32| error.is_finite() && *error >= 0.0;
+        if let Some(error) = self.fit_error_m.take_if(|error| !is_error(error)) {
+            report(format!("fit_error_m {error} is no distance"));
+        }
         for label in self.names() {
             let trimmed = label.take().map(|text| text.trim().to_owned());
             *label = trimmed.filter(|text| !text.is_empty());

@@ -49,13 +49,15 @@ pub(super) fn parse(text: &str) -> Content {
     }
     let of_clips = clips.iter().map(|(_, _, labels)| labels);
     for labels in of_clips.chain([&*all]) {
-        for (field, id) in [
+        let error = labels.fit_error_m.map(|error| error.to_string());
+        for (field, said) in [
             ("id", &labels.id),
             ("mirrored_of", &labels.mirrored_of),
             ("rotation_source", &labels.rotation_source),
+            ("fit_error_m", &error),
         ] {
-            problems.extend(id.as_ref().map(|id| {
-                format!("{field} {id:?} was not used: only the file STEM.stance.json beside a motion states it")
+            problems.extend(said.as_ref().map(|said| {
+                format!("{field} {said:?} was not used: only the file STEM.stance.json beside a motion states it")
             }));
         }
     }

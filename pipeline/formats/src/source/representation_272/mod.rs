@@ -31,6 +31,7 @@ use super::humanml3d::{
 };
 use super::names::file_name;
 use super::options::ReadOptions;
+use super::up::Up;
 use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 const MOTIONS: &str = "motion_data/";
@@ -47,6 +48,7 @@ const HEAD_BYTES: u64 = 256;
 // Bytes per second: the features in f4 at 30 fps.
 pub const FORMAT: Format = Format {
     extensions: &["npy"],
+    assumed_up: Some(Up::Y),
     by_name: |_, head| has_width(head).then_some(Ok(())),
     read: |_, _, bytes, options| read_array(bytes, &options.skeleton).into(),
     find,
