@@ -73,11 +73,13 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<SourceClip, Erro
         let path = path.to_owned();
         Error::from(formats::Error::UnusableFile { path, code, reason })
     };
-    let names = outcomes.iter().map(|(name, _)| name.as_str());
-    let names = names.collect::<Vec<_>>().join(", ");
-    let key_is_missing = key.is_none();
+    let names_of = |outcomes: &[(String, Outcome)]| {
+        let names = outcomes.iter().map(|(name, _)| name.as_str());
+        names.collect::<Vec<_>>().join(", ")
+    };
     match key {
         Some(key) => {
+            let names = names_of(&outcomes);
             outcomes.retain(|(name, _)| *name == key);
             if outcomes.is_empty() {
                 let reason = format!("it holds no motion {key:?}; its motions are {names}");
@@ -85,14 +87,16 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<SourceClip, Erro
             }
         }
         None => {
-            // What moves no body, such as a prop, is none to choose from.
-            let is_skipped = |outcome: &Outcome| matches!(outcome, Outcome::Skipped { .. });
-            if outcomes.iter().any(|(_, outcome)| !is_skipped(outcome)) {
-                outcomes.retain(|(_, outcome)| !is_skipped(outcome));
+            // What is no motion, such as a prop beside a body, is not offered for choice.
+            let is_motion =
+                |(_, outcome): &(String, Outcome)| !matches!(outcome, Outcome::Skipped { .. });
+            if outcomes.iter().any(is_motion) {
+                outcomes.retain(is_motion);
             }
         }
     }
-    if key_is_missing && outcomes.len() > 1 {
+    if outcomes.len() > 1 {
+        let names = names_of(&outcomes);
         let reason = format!("it holds several motions; name one, as FILE#NAME: {names}");
         return Err(refused(SEVERAL_MOTIONS, reason));
     }

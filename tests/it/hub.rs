@@ -183,6 +183,10 @@ fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_
     commit(&older, quarantined());
     hub.try_push(&older, CLIPS, &["--license", "MIT"])
         .expect_refused("--delete meta/manifest-2.json");
+    // Whoever deletes the newer version need not say again that this one takes its place.
+    let delete = ["--license", "MIT", "--delete", "meta/manifest-2.json"];
+    let done = hub.push(&older, CLIPS, &delete);
+    assert!(words(&done["changed"]).contains("meta/manifest-1.json"));
 }
 
 #[test]

@@ -150,7 +150,7 @@ pub(super) fn barred(names: impl Iterator<Item = String>) -> String {
     format!("|{}|", names.join("|"))
 }
 
-/// SQL: whether the decision `v` concerned the answer of a user, which is a column or a parameter of SQL.
+/// The SQL condition that decision `v` concerned the answer of a user, who is named by a column or a parameter.
 pub(super) fn concerns(user: &str) -> String {
     format!("v.authors LIKE '%|' || CAST({user} AS TEXT) || '|%'")
 }

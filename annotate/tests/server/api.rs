@@ -384,7 +384,7 @@ fn an_admin_adds_people_changes_settings_and_reads_the_log() {
     settings.gold_percent = 200;
     let refused = boss.put_settings(&kept, &settings);
     assert_eq!(refused.code(), Code::Invalid);
-    // Two people who changed the settings that they read before keep both changes, unless it is the same setting.
+    // Two people read the settings, and then both change them. Both changes are kept unless they are of one setting.
     let change = |text: &str, of: fn(&mut Settings) -> &mut String| {
         let mut now = was.clone();
         text.clone_into(of(&mut now));

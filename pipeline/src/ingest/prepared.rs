@@ -171,8 +171,7 @@ impl Prepared {
         check_lost(root, &labels.lost, self.options.drop_labels)
     }
 
-    /// Refuses the run if clips stay that were read with other values of a setting that all clips of a dataset must
-    /// share.
+    /// Refuses the run if it would keep clips that were read with another value of a setting that all clips must share.
     pub(super) fn refuse_mixture(&self, root: &Path, fates: &Fates<'_>) -> Result<(), Error> {
         const SHOWN: usize = 5;
         let staying: Vec<_> = fates.beside().collect();

@@ -216,8 +216,8 @@ fn take<R: PartialEq>(
     left.len() as u64
 }
 
-/// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset; returns both
-/// ids.
+/// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset, and its old and
+/// its new id are returned.
 fn insert<R: PartialEq>(
     rows: &mut BTreeMap<String, R>,
     mut row: R,

@@ -10,7 +10,6 @@ use eval::answers::{Answered, Scores};
 use eval::draw::plot::{Bars, Plot, Scale};
 use eval::format;
 use eval::report::{Card, Chart, Details, Report, Strip};
-use eval::table::Table;
 use pipeline::ingest::IngestReport;
 use serde_json::{Value, json};
 
@@ -48,19 +47,15 @@ pub(super) fn print(done: &Done, global: &Global) -> anyhow::Result<Exit> {
         "editor": done.trained.editor,
         "scores": scores,
     });
-    // On a terminal, the table of all items; the report has those of its parts too.
-    let (whole, parts): (Vec<Table>, Vec<Table>) = {
-        let tables = tables(done.scores);
-        let first = tables.first().map(|table| table.task.clone());
-        tables
-            .into_iter()
-            .partition(|table| Some(&table.task) == first.as_ref())
-    };
+    // A terminal shows the tables of all items; the report has those of each task and novelty too.
+    let mut whole = tables(done.scores);
+    let first = whole.first().map(|table| table.task.clone());
+    let parts = whole.extract_if(.., |table| Some(&table.task) != first.as_ref());
+    let parts: BTreeSet<String> = parts.map(|table| table.task).collect();
     let mut text = format::text::render(&whole);
-    let parts: BTreeSet<&str> = parts.iter().map(|table| table.task.as_str()).collect();
     if !parts.is_empty() {
-        let parts = parts.into_iter().collect::<Vec<_>>().join(", ");
-        text += &format!("The report has these tables of parts of the items too: {parts}.\n");
+        let parts = Vec::from_iter(parts).join(", ");
+        text += &format!("The report also has tables of some of the items: {parts}.\n");
     }
     for (name, path) in [
         ("dataset", plan.at("dataset")),

@@ -9,6 +9,7 @@ use datasets_spec::Progress;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::checksum::Wanted;
 use super::client::{Hub, JSON, quoted};
 use super::content::{Content, HubFile};
 use super::error::Error;
@@ -128,11 +129,7 @@ impl<'a> Push<'a> {
             path: local.to_owned(),
             sha256: None,
         };
-        let size = content.size()?;
-        match self.there.get(path).filter(|there| there.len == Some(size)) {
-            Some(there) => content.has(&there.checksum, size),
-            None => Ok(false),
-        }
+        is_same(&content, self.there.get(path))
     }
 
     /// The changes that the commit will make.
@@ -176,19 +173,20 @@ fn paths(files: &[HubFile]) -> BTreeSet<&str> {
     files.iter().map(|file| file.path.as_str()).collect()
 }
 
+/// Whether a file has the content of one in a repo, if that is there.
+fn is_same(content: &Content, there: Option<&Wanted>) -> Result<bool, Error> {
+    let size = content.size()?;
+    match there.filter(|there| there.len == Some(size)) {
+        Some(there) => content.has(&there.checksum, size),
+        None => Ok(false),
+    }
+}
+
 /// The files that are new or changed in comparison with a repo.
 fn changed<'a>(files: &'a [HubFile], there: &Tree) -> Result<Vec<&'a HubFile>, Error> {
     let mut changed = Vec::new();
     for file in files {
-        let size = file.content.size()?;
-        let is_same = match there
-            .get(&file.path)
-            .filter(|found| found.len == Some(size))
-        {
-            None => false,
-            Some(found) => file.content.has(&found.checksum, size)?,
-        };
-        if !is_same {
+        if !is_same(&file.content, there.get(&file.path))? {
             changed.push(file);
         }
     }

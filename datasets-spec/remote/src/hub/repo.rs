@@ -131,7 +131,7 @@ impl fmt::Display for Repo {
 pub(super) struct Head {
     /// Id of the commit.
     pub(super) commit: String,
-    /// Whether everybody can read the repo.
+    /// Whether the server says that everybody can read the repo.
     pub(super) is_public: bool,
 }
 

@@ -24,8 +24,8 @@ use super::options::ReadOptions;
 use crate::retarget;
 use clip::{Outcome, Rejected, rejected};
 
-/// Unique names of the motions in a file; empty if there is none or the file is broken. A motion has the name of its
-/// animation; those of further bodies that the animation moves have a number too.
+/// Unique names of the motions in a file; empty if there is none or the file is broken. A motion is
+/// named after its animation. If the animation moves several bodies, the motions after the first have a number too.
 pub fn keys(bytes: &[u8]) -> Vec<String> {
     let keys = || -> Result<Vec<String>, Rejected> {
         let document = Document::parse(bytes)?;
