@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cmd;
@@ -48,8 +49,16 @@ impl Cli {
     /// # Errors
     /// The words are no valid command line, or ask for help, which clap returns as an error.
     pub(crate) fn of_words(words: &[OsString]) -> Result<Self, clap::Error> {
-        let matches = grouped(Self::command()).try_get_matches_from(words)?;
-        Self::from_arg_matches(&matches)
+        let mut command = grouped(Self::command());
+        let cli = Self::from_arg_matches(&command.try_get_matches_from_mut(words)?)?;
+        // Clap finds no conflict with a global option that stands before the verb.
+        match &cli.command {
+            Command::Query(args) if args.csv && cli.global.json => Err(command.error(
+                ErrorKind::ArgumentConflict,
+                "the argument '--csv' cannot be used with '--json'",
+            )),
+            _ => Ok(cli),
+        }
     }
 
     pub(crate) fn run(&self, itself: Itself<'_>) -> anyhow::Result<Exit> {

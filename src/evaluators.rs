@@ -7,7 +7,7 @@ use anyhow::bail;
 use datasets_spec::{Dataset, Motion, Seed, Skeleton, Split};
 use eval::EncoderError;
 use eval::evaluators::{Evaluators, MotionClassifier, MotionEncoder};
-use eval::judge::{About, JudgeReport, REPORT, weakness};
+use eval::judge::{JudgeReport, REPORT, weakness};
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::protocol::Protocol;
 use train::captioned::CaptionedClip;
@@ -139,6 +139,10 @@ impl MotionClassifier for Classifier<'_> {
             .map(|motion| Ok(self.network.composed_share(motion, self.skeleton)?))
             .collect()
     }
+
+    fn hash(&self) -> String {
+        self.network.hash().to_owned()
+    }
 }
 
 /// How well an encoder's texts and motions retrieve each other in a split.
@@ -216,17 +220,9 @@ pub(crate) fn report_on_encoder(
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?.with_arithmetic(arithmetic());
     let clips = CaptionedClips::read(dataset, Split::Val)?.clips;
     let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
-    let report = JudgeReport::measure(
-        &texts,
-        &of_texts,
-        &of_motions,
-        About {
-            encoder_hash: encoder.hash(),
-            dataset_hash: &dataset.manifest().root_hash,
-            split: Split::Val.as_str(),
-            seed,
-        },
-    )?;
+    let of_clips = (dataset.manifest().root_hash.as_str(), Split::Val);
+    let hash = encoder.hash();
+    let report = JudgeReport::measure(&texts, &of_texts, &of_motions, hash, of_clips, seed)?;
     let mut text = serde_json::to_vec_pretty(&report)?;
     text.push(b'\n');
     local::write(&run.join(REPORT), &text)?;

@@ -51,9 +51,11 @@ fn known(cause: &(dyn Error + 'static)) -> Option<(Cow<'static, str>, Option<Str
 }
 
 fn code_of(cause: &(dyn Error + 'static)) -> Option<Code> {
+    // A cause that an error holds in a box is found as that box.
     macro_rules! code_of {
         ($($error:ty),*) => {$(
-            if let Some(error) = cause.downcast_ref::<$error>() {
+            let boxed = || cause.downcast_ref::<Box<$error>>().map(|boxed| &**boxed);
+            if let Some(error) = cause.downcast_ref::<$error>().or_else(boxed) {
                 return error.code();
             }
         )*};
@@ -62,4 +64,25 @@ fn code_of(cause: &(dyn Error + 'static)) -> Option<Code> {
     code_of!(datasets_spec::Error, train::Error, eval::Error);
     code_of!(remote_store::hub::Error);
     cause.is::<std::io::Error>().then_some(("E-IO", None))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_code_of_a_cause_is_found_in_a_box() {
+        let corrupt = || datasets_spec::Error::Corrupt {
+            path: "items.parquet".into(),
+            detail: "cut off".to_owned(),
+        };
+        let table = eval::Error::TableOf("edits".into(), Box::new(corrupt().into()));
+        let item = eval::Error::Item("one".to_owned(), Box::new(corrupt()));
+        let motion = eval::Error::Motion("a".to_owned(), "one".to_owned(), Box::new(corrupt()));
+        for error in [table, item, motion] {
+            let failure = Failure::of_error(&error.into());
+            assert_eq!(failure.code, "E-CORRUPT", "{}", failure.reason);
+            assert_eq!(failure.item.as_deref(), Some("items.parquet"));
+        }
+    }
 }

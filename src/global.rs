@@ -21,7 +21,7 @@ pub(crate) struct Global {
     pub(crate) threads: Option<u16>,
     /// Seed of every draw, instead of the seeds in settings files [default: 0]
     #[arg(long, global = true)]
-    seed: Option<u64>,
+    pub(crate) seed: Option<u64>,
     /// Print results as one JSON document
     #[arg(long, global = true)]
     pub(crate) json: bool,
@@ -54,10 +54,6 @@ impl Global {
     pub(crate) fn seed_option(&self) -> String {
         self.seed
             .map_or(String::new(), |seed| format!(" --seed {seed}"))
-    }
-
-    pub(crate) fn given_seed(&self) -> Option<u64> {
-        self.seed
     }
 
     /// `--seed` if it is given, otherwise the seed in the settings.

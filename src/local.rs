@@ -51,14 +51,9 @@ pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
 /// # Errors
 /// `E-OCCUPIED`.
 pub(crate) fn check_new(path: &Path) -> anyhow::Result<()> {
-    let refuse = |reason: String| {
-        let path = path.display().to_string();
-        let reason = format!("{path} {reason}");
-        let code = Some(("E-OCCUPIED", Some(path)));
-        Err(pipeline::Error::Refused { code, reason }.into())
-    };
     if path.exists() {
-        return refuse("exists already; name another file, or move it away".to_owned());
+        let reason = "exists already; name another file, or move it away";
+        return Err(occupied(path, reason));
     }
     // Links may lead into a dataset; folders that do not exist yet lead nowhere.
     let absolute = std::path::absolute(path)?;
@@ -69,13 +64,21 @@ pub(crate) fn check_new(path: &Path) -> anyhow::Result<()> {
         let newest = Staging::newest_version(&Disk, folder);
         newest.is_ok_and(|version| version > 0)
     };
-    match around.find(is_dataset) {
-        Some(dataset) => refuse(format!(
-            "would lie in the dataset {}; name a file outside of it",
-            dataset.display()
+    match around.find(is_dataset).map(Path::display) {
+        Some(dataset) => Err(occupied(
+            path,
+            &format!("would lie in the dataset {dataset}; name a file outside of it"),
         )),
         None => Ok(()),
     }
+}
+
+/// The error for a file that cannot take a result. `reason` continues its path.
+fn occupied(path: &Path, reason: &str) -> anyhow::Error {
+    let path = path.display().to_string();
+    let reason = format!("{path} {reason}");
+    let code = Some(("E-OCCUPIED", Some(path)));
+    pipeline::Error::Refused { code, reason }.into()
 }
 
 /// Checks that a file for a result is not one that the command reads.
@@ -86,19 +89,13 @@ pub(crate) fn check_not_read(out: &Path, read: &[&Path]) -> anyhow::Result<()> {
     let Ok(place) = fs::canonicalize(out) else {
         return Ok(());
     };
-    match read
-        .iter()
-        .any(|file| fs::canonicalize(file_and_key(file).0).is_ok_and(|file| file == place))
-    {
-        true => {
-            let path = out.display().to_string();
-            let reason =
-                format!("{path} is what the command reads; name another file for the result");
-            let code = Some(("E-OCCUPIED", Some(path)));
-            Err(pipeline::Error::Refused { code, reason }.into())
-        }
-        false => Ok(()),
+    let is_read =
+        |file: &&Path| fs::canonicalize(file_and_key(file).0).is_ok_and(|file| file == place);
+    if read.iter().any(is_read) {
+        let reason = "is what the command reads; name another file for the result";
+        return Err(occupied(out, reason));
     }
+    Ok(())
 }
 
 /// The motion of a file, with a note if its frame rate, its up axis or its sides are doubtful.

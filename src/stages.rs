@@ -14,7 +14,7 @@ use eval::times::WindowTimes;
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::ingest::{IngestReport, SourceArg, ingest};
-use pipeline::stage::{self, IngestConfig, Judged};
+use pipeline::stage::{self, IngestConfig, ItemsFolder, Judged};
 use train::kind::{ModelKind, TrainRequest, Trained};
 use train::registry::open_system;
 use train::sample::EditTimes;
@@ -78,9 +78,10 @@ pub(crate) fn triplets(
         seed,
         condition: None,
     };
-    global
+    let (recorded, _) = global
         .stage(|context| recording::record(root, out, &settings, context))
-        .context("stage triplets")
+        .context("stage triplets")?;
+    Ok(recorded)
 }
 
 /// Trains a model. If it is the evaluation encoder and its training is complete, writes and returns a report on its
@@ -109,7 +110,7 @@ pub(crate) fn items(
     config: &ItemConfig,
     seed: Seed,
     global: &Global,
-) -> anyhow::Result<Dataset> {
+) -> anyhow::Result<ItemsFolder> {
     let drawn = global.stage(|context| stage::items(dataset, out, split, config, seed, context))?;
     if let Some(count) = drawn.too_short.filter(|count| *count > 0) {
         report::note(&format!(
@@ -123,7 +124,7 @@ pub(crate) fn items(
             config.count
         ));
     }
-    Ok(drawn.dataset)
+    Ok(drawn)
 }
 
 pub(crate) fn edits(

@@ -97,17 +97,14 @@ pub(crate) fn active_parts(heat: &[Vec<f32>; NUM_RELEASE_PARTS]) -> Vec<BodyPart
         busy as f64 > SUGGESTED_SHARE * heat[part].len() as f64
     };
     let [_, lower, _, left, right] = std::array::from_fn(active);
-    let mut parts = Vec::new();
-    match (left, right) {
-        (true, true) => parts.push(BodyPart::BothArms),
-        (true, false) => parts.push(BodyPart::LeftArm),
-        (false, true) => parts.push(BodyPart::RightArm),
-        (false, false) => {}
-    }
-    if lower {
-        parts.push(BodyPart::LowerBody);
-    }
-    parts
+    let arms = match (left, right) {
+        (true, true) => Some(BodyPart::BothArms),
+        (true, false) => Some(BodyPart::LeftArm),
+        (false, true) => Some(BodyPart::RightArm),
+        (false, false) => None,
+    };
+    let legs = lower.then_some(BodyPart::LowerBody);
+    arms.into_iter().chain(legs).collect()
 }
 
 /// Distance of two motions in metres: of the root, then of each release part. `[6][T]`, over the frames of the shorter

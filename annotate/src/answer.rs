@@ -446,21 +446,10 @@ pub(crate) fn spread(answers: &[Answer], frames: i64) -> Option<f64> {
 
 /// Edit distance of two texts by characters (Levenshtein), divided by the length of the longer one.
 pub(crate) fn text_distance(a: &str, b: &str) -> f64 {
-    let a: Vec<char> = a.trim().chars().collect();
-    let b: Vec<char> = b.trim().chars().collect();
-    if a.is_empty() && b.is_empty() {
-        return 0.0;
-    }
-    let mut before: Vec<usize> = (0..=b.len()).collect();
-    for (row, x) in a.iter().enumerate() {
-        let mut now = vec![row + 1];
-        for (column, y) in b.iter().enumerate() {
-            let kept = before[column] + usize::from(x != y);
-            now.push(kept.min(before[column + 1] + 1).min(now[column] + 1));
-        }
-        before = now;
-    }
-    before[b.len()] as f64 / a.len().max(b.len()) as f64
+    let (a, b) = (a.trim(), b.trim());
+    let longer = a.chars().count().max(b.chars().count());
+    // Two empty texts are equal.
+    strsim::levenshtein(a, b) as f64 / longer.max(1) as f64
 }
 
 #[cfg(test)]

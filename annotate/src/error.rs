@@ -1,6 +1,8 @@
 //! Errors, and the problem document that a client receives for each.
 
-use crate::wire::{Code, Problem, Revision, TaskState};
+use std::fmt::Display;
+
+use crate::wire::{Code, Problem};
 
 /// An error that names the item it happened to.
 #[derive(Debug, thiserror::Error)]
@@ -120,7 +122,8 @@ impl Error {
         Self::refused(Code::NotFound, problem)
     }
 
-    pub(crate) fn wrong_state(state: TaskState, what: &str) -> Self {
+    /// The request does not fit the state of the task, or the purpose for which somebody holds it.
+    pub(crate) fn wrong_state(state: impl Display, what: &str) -> Self {
         let problem = format!("a task that is {state} cannot be {what}");
         Self::refused(Code::WrongState, problem)
     }
@@ -160,12 +163,6 @@ impl Problem {
             retry_after_secs: None,
             theirs: None,
         }
-    }
-
-    /// Adds the revision that the store holds now.
-    pub(crate) fn with_theirs(mut self, revision: Revision) -> Self {
-        self.theirs = Some(Box::new(revision));
-        self
     }
 }
 

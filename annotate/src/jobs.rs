@@ -9,9 +9,9 @@ use datasets_spec::Error as Spec;
 
 use crate::Error;
 use crate::http::App;
-use crate::store::{Millis, Store};
-use crate::transfer::{self, Exported, RELEASE};
-use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
+use crate::store::Store;
+use crate::transfer::{self, RELEASE};
+use crate::wire::{Code, ExportRequest, ImportFormat, Job};
 
 /// Folder of a job's files.
 fn folder(data: &Path, job: i64) -> PathBuf {
@@ -22,13 +22,6 @@ fn folder(data: &Path, job: i64) -> PathBuf {
 const BEAT: Duration = Duration::from_secs(10);
 /// Number of latest exports whose files a shared store keeps.
 const KEPT_EXPORTS: i64 = 10;
-/// Milliseconds without a report after which a running job counts as lost.
-const SILENT: Millis = 60_000;
-
-/// Marks the jobs of stopped servers as failed: running jobs without a report for [`SILENT`] milliseconds.
-pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
-    store.abandon(now - SILENT, now)
-}
 
 /// Starts a job on a separate thread.
 fn start(
@@ -77,13 +70,10 @@ fn reported<T>(app: &App, job: i64, work: impl FnOnce() -> T) -> T {
 fn finish(app: &App, mut job: Job, outcome: Result<(), Error>) {
     let now = app.now();
     job.finished = Some(now);
-    match outcome {
-        Ok(()) => "done".clone_into(&mut job.state),
-        Err(error) => {
-            "failed".clone_into(&mut job.state);
-            job.messages.push(error.to_string());
-        }
-    }
+    let state = if outcome.is_ok() { "done" } else { "failed" };
+    state.clone_into(&mut job.state);
+    job.messages
+        .extend(outcome.err().map(|error| error.to_string()));
     // If the store fails here, it also fails for requests, which report it.
     let _kept = app.store.put_job(job, now);
 }
@@ -151,7 +141,7 @@ pub(crate) fn start_export(
         if store.is_shared() {
             keep_files(store, job.id, &folder, &done.files)?;
         }
-        log_export(store, Some(actor), request.format, &done, app.now())?;
+        store.log_export(Some(actor), done.entry(request.format), app.now())?;
         job.done = done.counts.values().sum();
         job.counts = done.counts;
         job.messages = done.messages;
@@ -180,22 +170,4 @@ pub(crate) fn file(store: &Store, data: &Path, job: i64, name: &str) -> Result<V
         format!("the store keeps the files of the last {KEPT_EXPORTS} exports; export again");
     let bytes = store.file(job, name)?;
     bytes.ok_or_else(|| Error::refused(Code::NotFound, problem))
-}
-
-/// Records an export in the log.
-///
-/// # Errors
-/// The store fails.
-pub fn log_export(
-    store: &Store,
-    actor: Option<i64>,
-    format: ExportFormat,
-    done: &Exported,
-    now: Millis,
-) -> Result<(), Error> {
-    store.log_export(
-        actor,
-        serde_json::json!({ "format": format, "counts": done.counts, "up_to": done.seq }),
-        now,
-    )
 }

@@ -50,6 +50,7 @@ mod body;
 mod clock;
 pub mod drafting;
 mod error;
+mod groups;
 pub mod http;
 mod jobs;
 mod lines;
@@ -64,5 +65,4 @@ pub mod transfer;
 pub mod wire;
 
 pub use error::Error;
-pub use jobs::log_export;
 pub use lines::{Finding, Taken, accept, drafts};

@@ -91,12 +91,22 @@ impl Judgement {
         serde_json::to_string(self).unwrap_or_default() + "\n"
     }
 
-    /// Whether the judgement differs from its draft, or has content without a draft.
-    fn is_edited(&self, draft: Option<&MaskRow>) -> Result<bool, datasets_spec::Error> {
+    /// Whether the line changes its mask or, without a draft, adds one.
+    fn is_change(&self, draft: Option<&MaskRow>) -> Result<bool, String> {
         let Some(draft) = draft else {
-            return Ok(!self.text.trim().is_empty());
+            return Ok(self.verdict != Verdict::Todo || !self.text.trim().is_empty());
         };
-        let drafted = Self::of(draft)?;
+        let is_untouched = self.drafted == self.hash();
+        // A mask that a person has accepted is drafted as accepted: such a line is no judgement of another person.
+        let is_judged = match self.verdict {
+            Verdict::Todo => false,
+            Verdict::Accept => draft.text_origin != HUMAN,
+            Verdict::Reject => true,
+        };
+        if is_untouched || is_judged {
+            return Ok(!is_untouched);
+        }
+        let drafted = Self::of(draft).map_err(|error| error.to_string())?;
         Ok(self.text.trim() != drafted.text.trim()
             || self.parts != drafted.parts
             || self.joints != drafted.joints
@@ -262,19 +272,7 @@ fn judge(
             draft.id, draft.motion_id
         ));
     }
-    if draft.is_some() && judgement.drafted == judgement.hash() {
-        // Nobody has touched the line.
-        return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
-    }
-    // A mask that a person has accepted is drafted as accepted: such a line is no judgement of another person.
-    let is_as_drafted = match judgement.verdict {
-        Verdict::Todo => true,
-        Verdict::Accept => draft.is_some_and(|draft| draft.text_origin == HUMAN),
-        Verdict::Reject => false,
-    };
-    let edited = judgement.is_edited(draft);
-    if is_as_drafted && !edited.map_err(|error| error.to_string())? {
-        // The line does not change its mask, or has no content yet.
+    if !judgement.is_change(draft)? {
         return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
     }
     if let Some(draft) = draft {

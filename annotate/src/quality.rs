@@ -10,6 +10,7 @@ use crate::Error;
 use crate::agreement::{Item, MIN_ITEMS, mean, mean_estimate, part_agreement};
 use crate::answer::{completion, text_distance};
 use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
+use crate::groups::grouped;
 use crate::lock::lock;
 use crate::mask::{Cells, jaccard_in_time};
 use crate::store::{Label, Millis, Store};
@@ -231,16 +232,11 @@ fn agreement_by_part(tasks: &[&Shared<'_>]) -> Vec<PartAgreement> {
 }
 
 fn people(all: &[&Said], shared: &[Shared<'_>]) -> BTreeMap<i64, PersonFigures> {
-    let mut own: BTreeMap<i64, Vec<&Said>> = BTreeMap::new();
-    for said in all {
-        own.entry(said.author).or_default().push(said);
-    }
-    let mut alike: BTreeMap<i64, Vec<f64>> = BTreeMap::new();
-    for task in shared {
-        for (said, value) in task.said.iter().zip(&task.alike) {
-            alike.entry(said.author).or_default().push(*value);
-        }
-    }
+    let own = grouped(all.iter().map(|said| (said.author, *said)));
+    let alike = grouped(shared.iter().flat_map(|task| {
+        let authors = task.said.iter().map(|said| said.author);
+        authors.zip(task.alike.iter().copied())
+    }));
     let figures = |(author, said): (i64, Vec<&Said>)| {
         let mut secs: Vec<f64> = said.iter().map(|said| said.secs).collect();
         let drafts: Vec<f64> = said.iter().flat_map(|said| said.drafts.clone()).collect();

@@ -50,9 +50,7 @@ names! {
         /// A reviewer judged a paraphrase. Only versions up to 0.1 of this program proposed paraphrases.
         ParaphraseJudged = "paraphrase_judged",
     }
-}
 
-names! {
     /// Purpose of a lease.
     pub enum Purpose {
         /// A lease to answer the task.
@@ -64,9 +62,7 @@ names! {
         /// Reservation for the person to whom a reviewer assigned the task.
         Assigned = "assigned",
     }
-}
 
-names! {
     /// Why a lease ended without an answer.
     pub enum ReleaseReason {
         /// The holder released the lease.

@@ -1,6 +1,6 @@
 //! Errors of the contract.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// An error that names the affected item.
 #[derive(Debug, thiserror::Error)]
@@ -12,25 +12,6 @@ pub enum Error {
     /// A name or a row cannot be used; the message states why.
     #[error("{0}")]
     Refused(String),
-    /// A dataset has no version of this number.
-    #[error("{} has no version {version}; there are {known}", path.display())]
-    NoVersion {
-        /// The dataset.
-        path: PathBuf,
-        /// The requested version.
-        version: u64,
-        /// The versions that exist.
-        known: String,
-    },
-    /// A folder holds no test questions.
-    #[error(
-        "{} holds no items; draw them: stance items DATASET --out ITEMS",
-        path.display()
-    )]
-    NoItems {
-        /// The folder.
-        path: PathBuf,
-    },
     /// A test question of a folder cannot be used.
     #[error("in {}", path.display())]
     ItemOf {
@@ -39,12 +20,6 @@ pub enum Error {
         /// The cause.
         source: Box<Error>,
     },
-    /// A blend mask names a joint as hard and soft.
-    #[error("joints {joints} are both hard and soft; a joint is one or the other (paper Sec. 4.2)")]
-    MaskOverlap {
-        /// Names of the joints in both sets.
-        joints: String,
-    },
     /// A column of a table is missing or of another type.
     #[error("table {table}: column {column:?} {problem}")]
     Column {
@@ -52,18 +27,6 @@ pub enum Error {
         table: &'static str,
         /// Column name.
         column: String,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A cell holds a value its type forbids.
-    #[error("table {table}, column {column:?}, row {row}: {problem}")]
-    Cell {
-        /// Table name.
-        table: &'static str,
-        /// Column name.
-        column: String,
-        /// Row within the batch.
-        row: usize,
         /// What is wrong with it.
         problem: String,
     },
@@ -93,30 +56,13 @@ pub enum Error {
         /// Expected and found.
         detail: String,
     },
-    /// A folder is no dataset, and a first commit to it would replace a file, or mix its tables with others.
-    #[error(
-        "{} is no dataset and holds {file}, which a dataset there would replace or mix with its own; name a new \
-         folder, or move that file away",
-        path.display()
-    )]
+    /// A folder holds a file or table that a dataset or table there would replace or stand beside.
+    #[error("{} {problem}", path.display())]
     Occupied {
         /// The folder.
         path: PathBuf,
-        /// The file, relative to the folder.
-        file: String,
-    },
-    /// A folder holds tables that the new one does not belong with.
-    #[error(
-        "{} holds the table {table}, and {made} do not belong beside it; name another folder",
-        path.display()
-    )]
-    Beside {
-        /// The folder.
-        path: PathBuf,
-        /// A table that it holds.
-        table: String,
-        /// What the run makes.
-        made: &'static str,
+        /// What it holds, and what to do.
+        problem: String,
     },
     /// Another run writes to the same folder.
     #[error("{} is locked by another run ({holder}); wait for it or choose another folder", path.display())]
@@ -182,7 +128,7 @@ impl Error {
             Self::Io { path, .. } => ("E-IO", path),
             Self::Locked { path, .. } => ("E-LOCKED", path),
             Self::Overtaken { path, .. } => ("E-OVERTAKEN", path),
-            Self::Occupied { path, .. } | Self::Beside { path, .. } => ("E-OCCUPIED", path),
+            Self::Occupied { path, .. } => ("E-OCCUPIED", path),
             Self::NotADataset { path, .. } => ("E-DATASET", path),
             Self::Version { path, .. } => ("E-VERSION", path),
             Self::Corrupt { path, .. } | Self::Parquet { path, .. } | Self::Json { path, .. } => {
@@ -191,6 +137,20 @@ impl Error {
             _ => return None,
         };
         Some((code, Some(path.display().to_string())))
+    }
+
+    /// A folder holds no test questions.
+    pub fn no_items(folder: &Path) -> Self {
+        let folder = folder.display();
+        Self::Refused(format!(
+            "{folder} holds no items; draw them: stance items DATASET --out ITEMS"
+        ))
+    }
+
+    /// Wraps a JSON error with the file.
+    pub fn json(path: impl Into<PathBuf>) -> impl FnOnce(serde_json::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Json { path, source }
     }
 
     /// Wraps an I/O error with what was tried on which file.

@@ -80,22 +80,21 @@ impl std::fmt::Display for MotionId {
     }
 }
 
-/// Part of a dataset that a motion belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Split {
-    /// Models, normalisation, masks and embeddings are fitted to it.
-    Train,
-    /// Checkpoints are chosen by it.
-    Val,
-    /// It is used once, for the result table.
-    Test,
+kinematics::named! {
+    /// Part of a dataset that a motion belongs to. Tables list the parts in this order.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Split, named by as_str {
+        /// Models, normalisation, masks and embeddings are fitted to it.
+        Train = "train",
+        /// Checkpoints are chosen by it.
+        Val = "val",
+        /// It is used once, for the result table.
+        Test = "test",
+    }
 }
 
 impl Split {
-    /// All splits, in the order tables list them.
-    pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
-
     /// The split of a source clip by the paper's proportions 80/5/15 (Sec. 6.1). It depends only on the clip
     /// and the seed, so clips keep their split when a dataset grows.
     pub fn assign(source_clip: &str, seed: Seed) -> Self {
@@ -105,33 +104,15 @@ impl Split {
             _ => Self::Test,
         }
     }
-
-    /// The lower-case name used in tables and file names.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Val => "val",
-            Self::Test => "test",
-        }
-    }
 }
 
 impl std::str::FromStr for Split {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self, Error> {
-        Self::ALL
-            .into_iter()
-            .find(|split| split.as_str() == text)
-            .ok_or_else(|| {
-                Error::Refused(format!("split must be train, val or test, got {text:?}"))
-            })
-    }
-}
-
-impl std::fmt::Display for Split {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.as_str())
+        Self::of_name(text).ok_or_else(|| {
+            Error::Refused(format!("split must be train, val or test, got {text:?}"))
+        })
     }
 }
 

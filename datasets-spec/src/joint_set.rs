@@ -120,63 +120,35 @@ impl fmt::Display for JointSet {
     }
 }
 
-/// A named part of the body: the five of the STANCE release, and five more.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
-pub enum BodyPart {
-    /// Spine, neck, head and arms.
-    UpperBody,
-    /// Pelvis and legs; the only part that moves the root.
-    LowerBody,
-    /// Left and right arm.
-    BothArms,
-    /// Left shoulder, elbow and wrist.
-    LeftArm,
-    /// Right shoulder, elbow and wrist.
-    RightArm,
-    /// Both legs without the pelvis.
-    BothLegs,
-    /// Left leg without the pelvis.
-    LeftLeg,
-    /// Right leg without the pelvis.
-    RightLeg,
-    /// Spine and collars.
-    Torso,
-    /// Neck and head.
-    Head,
+kinematics::named! {
+    /// A named part of the body: first the five of the STANCE release, whose spelling the names have, then five more.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
+    pub enum BodyPart, named by name {
+        /// Spine, neck, head and arms.
+        UpperBody = "UPPER_BODY",
+        /// Pelvis and legs; the only part that moves the root.
+        LowerBody = "LOWER_BODY",
+        /// Left and right arm.
+        BothArms = "BOTH_ARMS",
+        /// Left shoulder, elbow and wrist.
+        LeftArm = "LEFT_ARM",
+        /// Right shoulder, elbow and wrist.
+        RightArm = "RIGHT_ARM",
+        /// Both legs without the pelvis.
+        BothLegs = "BOTH_LEGS",
+        /// Left leg without the pelvis.
+        LeftLeg = "LEFT_LEG",
+        /// Right leg without the pelvis.
+        RightLeg = "RIGHT_LEG",
+        /// Spine and collars.
+        Torso = "TORSO",
+        /// Neck and head.
+        Head = "HEAD",
+    }
 }
 
 impl BodyPart {
-    /// All parts, those of the release first.
-    pub const ALL: [BodyPart; 10] = [
-        BodyPart::UpperBody,
-        BodyPart::LowerBody,
-        BodyPart::BothArms,
-        BodyPart::LeftArm,
-        BodyPart::RightArm,
-        BodyPart::BothLegs,
-        BodyPart::LeftLeg,
-        BodyPart::RightLeg,
-        BodyPart::Torso,
-        BodyPart::Head,
-    ];
-
-    /// The name in the release's spelling.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::UpperBody => "UPPER_BODY",
-            Self::LowerBody => "LOWER_BODY",
-            Self::BothArms => "BOTH_ARMS",
-            Self::LeftArm => "LEFT_ARM",
-            Self::RightArm => "RIGHT_ARM",
-            Self::BothLegs => "BOTH_LEGS",
-            Self::LeftLeg => "LEFT_LEG",
-            Self::RightLeg => "RIGHT_LEG",
-            Self::Torso => "TORSO",
-            Self::Head => "HEAD",
-        }
-    }
-
     /// The part in words, as in an instruction: "upper body", "left arm".
     pub fn phrase(self) -> String {
         self.name().to_lowercase().replace('_', " ")
@@ -230,32 +202,23 @@ impl FromStr for BodyPart {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self, Error> {
-        Self::ALL
-            .into_iter()
-            .find(|part| part.name() == text)
-            .ok_or_else(|| {
-                let known = Self::ALL.map(Self::name).join(", ");
-                Error::Refused(format!("unknown body part {text:?}; known: {known}"))
-            })
-    }
-}
-
-impl fmt::Display for BodyPart {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        Self::of_name(text).ok_or_else(|| {
+            let known = Self::ALL.map(Self::name).join(", ");
+            Error::Refused(format!("unknown body part {text:?}; known: {known}"))
+        })
     }
 }
 
 /// Joints that a blend takes from the target: `hard` joints fully, `soft` joints by interpolation. The two
 /// sets are disjoint by construction (paper Sec. 4.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "RawMask", into = "RawMask")]
+#[serde(try_from = "RawMask")]
 pub struct BlendMask {
     hard: JointSet,
     soft: JointSet,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 struct RawMask {
     hard: JointSet,
     soft: JointSet,
@@ -280,12 +243,11 @@ impl BlendMask {
     pub fn new(hard: JointSet, soft: JointSet) -> Result<Self, Error> {
         let both = hard.intersection(soft);
         if both.is_empty() {
-            Ok(Self { hard, soft })
-        } else {
-            Err(Error::MaskOverlap {
-                joints: both.to_string(),
-            })
+            return Ok(Self { hard, soft });
         }
+        Err(Error::Refused(format!(
+            "joints {both} are both hard and soft; a joint is one or the other (paper Sec. 4.2)"
+        )))
     }
 
     /// A mask by the names of its joints, as in a mask row.
@@ -347,15 +309,6 @@ impl TryFrom<RawMask> for BlendMask {
     }
 }
 
-impl From<BlendMask> for RawMask {
-    fn from(mask: BlendMask) -> RawMask {
-        RawMask {
-            hard: mask.hard,
-            soft: mask.soft,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -384,7 +337,8 @@ mod tests {
     #[test]
     fn a_joint_cannot_be_hard_and_soft() {
         let overlap = BlendMask::new(JointSet::of(&[1, 2]), JointSet::of(&[2, 3]));
-        assert!(matches!(overlap, Err(Error::MaskOverlap { joints }) if joints == "right_hip"));
+        let error = overlap.expect_err("both").to_string();
+        assert!(error.starts_with("joints right_hip are both"), "{error}");
     }
 
     #[test]

@@ -33,6 +33,7 @@ pub mod cache;
 mod card;
 mod croissant;
 pub mod dataset;
+mod digest;
 mod error;
 pub mod flags;
 mod ids;
@@ -47,8 +48,9 @@ pub mod store;
 pub mod table;
 
 pub use dataset::{Dataset, Transaction};
+pub use digest::Digest;
 pub use error::{Code, Error};
 pub use ids::{MotionId, Rng, Seed, Split};
 pub use joint_set::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION};
-pub use kinematics::{Fps, Joint, Keypoints, Motion, Pose, Resample, Skeleton};
+pub use kinematics::{Fps, Joint, Keypoints, Motion, Pose, Resample, Skeleton, named};
 pub use progress::{NoProgress, Progress};

@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::rejected::RejectedMasks;
-use crate::{Error, MotionId, Split};
+use crate::{Digest, Error, MotionId, Split};
 
 /// Key of the fact that names the label by which splits were drawn, such as `subject`: clips with the same value of the
 /// label are in the same split.
@@ -52,7 +52,7 @@ struct LaidOut {
 
 /// One committed version of a dataset. Readers open the highest version; data files are never found by
 /// listing folders.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Always [`FORMAT`].
     pub format: String,
@@ -198,36 +198,33 @@ impl Manifest {
 
     /// Computes the root hash of all files.
     pub fn compute_root_hash(tables: &BTreeMap<String, Vec<FileEntry>>) -> String {
-        let mut hasher = blake3::Hasher::new();
+        let mut digest = Digest::default();
         for (table, files) in tables {
             let mut files: Vec<&FileEntry> = files.iter().collect();
             files.sort_by(|a, b| a.path.cmp(&b.path));
             for file in files {
-                for part in [table, &file.path, &file.blake3] {
-                    hasher.update(&(part.len() as u64).to_le_bytes());
-                    hasher.update(part.as_bytes());
-                }
+                digest.part(table);
+                digest.part(&file.path);
+                digest.part(&file.blake3);
             }
         }
-        hasher.finalize().to_hex().to_string()
+        digest.hex()
     }
 
     /// BLAKE3 over the files of some tables, in hexadecimal. It depends only on these tables, and does not change when
     /// their rows are written into fewer files ([`Manifest::laid_out`]).
     pub fn content_hash(&self, tables: &[&str]) -> String {
-        let mut hasher = blake3::Hasher::new();
+        let mut digest = Digest::default();
         for (table, files) in &self.tables {
             if !tables.contains(&table.as_str()) {
                 continue;
             }
             for hash in self.contents(table, files) {
-                for part in [table.as_str(), &hash] {
-                    hasher.update(&(part.len() as u64).to_le_bytes());
-                    hasher.update(part.as_bytes());
-                }
+                digest.part(table);
+                digest.part(&hash);
             }
         }
-        hasher.finalize().to_hex().to_string()
+        digest.hex()
     }
 
     /// BLAKE3 of the files that a table's rows were first written to.

@@ -307,6 +307,12 @@ pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
     file.publish()
 }
 
+/// Creates a folder and its parents.
+pub(crate) fn create_folder(store: &dyn Store, folder: &Path) -> Result<(), Error> {
+    let created = store.create_dir_all(folder);
+    created.map_err(Error::io("create folder", folder))
+}
+
 /// Writes a file whole or not at all.
 ///
 /// # Errors

@@ -5,9 +5,11 @@
 //! matrix products, whose speed limits that of the galleries.
 
 use std::hint::black_box;
+use std::path::Path;
 
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::table::Row;
 use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Seed, Skeleton, Split};
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -75,17 +77,8 @@ fn galleries_of_32(bencher: Bencher) {
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn foot_score_1m(bencher: Bencher) {
     let mut rng = Seed(3).rng(&["bench", "feet"]);
-    let feet: Vec<Feet> = (0..1_000_000)
-        .map(|_| {
-            [(); 4].map(|()| {
-                DVec3::new(
-                    rng.random_range(0.0..0.1),
-                    rng.random_range(0.0..0.2),
-                    rng.random_range(0.0..0.1),
-                )
-            })
-        })
-        .collect();
+    let mut foot = || DVec3::from_array([0.1, 0.2, 0.1].map(|most| rng.random_range(0.0..most)));
+    let feet: Vec<Feet> = (0..1_000_000).map(|_| [(); 4].map(|()| foot())).collect();
     bencher
         .counter(ItemsCount::new(feet.len()))
         .bench_local(|| foot_score(black_box(&feet), Fps::STORE, Floor::At(0.0)));
@@ -143,21 +136,22 @@ fn motion(name: &str, number: usize) -> Motion {
     Motion::from_poses(Fps::STORE, &poses).expect("a motion")
 }
 
+fn commit<R: Row>(root: &Path, rows: &[R], split_of: fn(&R) -> Split, plan: &str) {
+    let skeleton = Skeleton::smplx_neutral();
+    commit_rows(root, rows, Some(split_of), &skeleton, plan, "bench").expect("writes");
+}
+
 /// Reads items and the edits of one system from a folder, and scores them with an encoder of negligible cost.
 #[divan::bench(args = [128, 1024], sample_count = 3, sample_size = 1)]
 fn evaluation(bencher: Bencher, num_items: usize) {
     let root = std::env::temp_dir().join(format!("stance-bench-{}", std::process::id()));
-    let skeleton = Skeleton::smplx_neutral();
     let items: Vec<ItemRow> = (0..num_items)
         .map(|number| {
             let id = MotionId::parse(&format!("bench/{number}")).expect("an id");
             let mut item = ItemRow::blank(&id, Split::Test);
             item.task = "semantic".to_owned();
-            item.set_motions(
-                &motion("source", number),
-                Some(&motion("target", number)),
-                None,
-            );
+            let [source, target] = ["source", "target"].map(|name| motion(name, number));
+            item.set_motions(&source, Some(&target), None);
             item.id = item.content_id();
             item
         })
@@ -170,24 +164,8 @@ fn evaluation(bencher: Bencher, num_items: usize) {
             ..EditRow::answering(item, &motion("edit", number))
         })
         .collect();
-    commit_rows(
-        &root,
-        &items,
-        Some(|row: &ItemRow| row.split),
-        &skeleton,
-        "items",
-        "bench",
-    )
-    .expect("writes");
-    commit_rows(
-        &root,
-        &edits,
-        Some(|row: &EditRow| row.split),
-        &skeleton,
-        "edits",
-        "bench",
-    )
-    .expect("writes");
+    commit(&root, &items, |row| row.split, "items");
+    commit(&root, &edits, |row| row.split, "edits");
     drop((items, edits));
     bencher.counter(ItemsCount::new(num_items)).bench_local(|| {
         let answered = Answered::read(std::slice::from_ref(&root)).expect("a folder of edits");

@@ -42,26 +42,21 @@ impl Answered {
     /// No folder is given, one cannot be read, or two folders hold different items or skeletons, or state other
     /// novelties of an item.
     pub fn read(folders: &[PathBuf]) -> Result<Self, Error> {
-        let mut all: Option<(&Path, Self)> = None;
-        for path in folders {
-            let read = Self::read_one(path)?;
-            match &mut all {
-                None => all = Some((path, read)),
-                Some((first, all)) => all.merge(first, read, path)?,
-            }
+        let Some((first, others)) = folders.split_first() else {
+            return Err(Error::Invalid("no table of edits was given".to_owned()));
+        };
+        let mut all = Self::read_one(first)?;
+        for path in others {
+            all.merge(first, Self::read_one(path)?, path)?;
         }
-        match all {
-            Some((_, all)) => Ok(all),
-            None => Err(Error::Invalid("no table of edits was given".to_owned())),
-        }
+        Ok(all)
     }
 
     fn read_one(path: &Path) -> Result<Self, Error> {
         let folder = Dataset::open(path)?;
         let items: Rows<ItemRow> = Rows::read(&folder)?;
         if items.is_empty() {
-            let path = path.to_owned();
-            return Err(datasets_spec::Error::NoItems { path }.into());
+            return Err(datasets_spec::Error::no_items(path).into());
         }
         Ok(Self {
             items,
@@ -98,10 +93,8 @@ impl Answered {
     pub fn items_at(&self, positions: &[usize]) -> Result<Vec<ItemRow>, Error> {
         let rows = self.items.rows(positions)?;
         let check = |row: &ItemRow| {
-            row.check().map_err(|source| Error::Item {
-                id: row.id.clone(),
-                source: Box::new(source),
-            })
+            let checked = row.check();
+            checked.map_err(|source| Error::Item(row.id.clone(), Box::new(source)))
         };
         // Check all rows before looking for an error, so that the first row's error is reported.
         let checked: Vec<Result<(), Error>> = rows.par_iter().map(check).collect();
@@ -207,10 +200,7 @@ pub(crate) fn same_take(system: &str, id: &str, seed: u64) -> Error {
 
 /// Adds the table's path to an error.
 fn of_table(path: &Path, source: Error) -> Error {
-    Error::TableOf {
-        path: path.to_owned(),
-        source: Box::new(source),
-    }
+    Error::TableOf(path.to_owned(), Box::new(source))
 }
 
 /// Refuses duplicate takes, and a system name that stands for several checkpoints or settings, because these would

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::answered::{Answered, ITEMS_AT_ONCE};
 use crate::metric::position_error::{held, mean_position_error};
-use crate::rows::{EditFacts, ItemFacts};
+use crate::rows::EditFacts;
 
 /// An edit and how it was chosen.
 #[derive(Clone, Debug)]
@@ -136,13 +136,12 @@ fn first_takes(answered: &Answered) -> Vec<[usize; 2]> {
             }
         }
     }
-    let by_id = |(position, item): (usize, &ItemFacts)| {
-        let (edit, _) = takes.get(item.id.as_str())?;
-        Some((item.id.clone(), [position, *edit]))
-    };
     let items = answered.items.facts().iter().enumerate();
-    let found: BTreeMap<String, [usize; 2]> = items.filter_map(by_id).collect();
-    found.into_values().collect()
+    let items: BTreeMap<&str, usize> = items.map(|(at, item)| (item.id.as_str(), at)).collect();
+    takes
+        .into_iter()
+        .filter_map(|(id, (edit, _))| Some([*items.get(id)?, edit]))
+        .collect()
 }
 
 /// Distances in metres of the source and of the edit from the target; `None` without a target of the same

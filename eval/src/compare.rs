@@ -16,11 +16,7 @@ use crate::metric::fid::{self, FID, MIN_ROWS};
 use crate::metric::interval::{MIN_TARGETS, mean};
 use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
 use crate::protocol::{FidSample, Protocol, Spread};
-use crate::score::{
-    Galleries, Measured, OfItems, Ranks, Resamples, System, Take, TestSet, drawn, measured,
-    of_items, unranked,
-};
-use crate::table::Items;
+use crate::score::{OfItems, OfTask, Resamples, System, TestSet, drawn, measured, unranked};
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
 /// Number of resamples for the interval of a Fréchet distance; each decomposes up to three large matrices.
@@ -111,60 +107,44 @@ pub fn compare(
             known.join(", ")
         )));
     }
-    let Measured {
-        sources, systems, ..
-    } = measured(&test_set, evaluators, protocol, progress)?;
-    let find = |name: &str| systems.iter().find(|system| system.name == name);
+    let measured = measured(&test_set, evaluators, protocol, progress)?;
     let tasks = test_set.tasks();
     progress.begin("compare", Some(tasks.len() as u64));
-    let comparisons = tasks
-        .into_iter()
-        .map(|(task, indices)| {
-            let sources = sources.select(&indices);
-            let targets = systems[0].takes[0].select(&indices);
-            let sides = names.map(|name| {
-                find(name)
-                    .expect("its name was found above")
-                    .select(&indices)
-            });
-            let resamples = Resamples::new(test_set.targets(&indices), protocol);
-            let galleries = Galleries::draw(indices.len(), protocol);
-            let values = |system: &System<'_>| {
-                let ranks = Ranks::of_system(&sources, &targets, system, &galleries, protocol)?;
-                of_items(system, &ranks, &galleries, protocol)
-            };
-            let given = [0, 1].map(|place| systems[place].select(&indices));
-            let [real, identity] = [values(&given[0])?, values(&given[1])?];
-            let [a, b] = [values(&sides[0])?, values(&sides[1])?];
-            let pairing = Pairing {
-                task,
-                real: &real,
-                sides: [&a, &b],
-                resamples: &resamples,
-            };
-            let encoder = evaluators.encoder;
-            let reason = unranked(encoder, [&real, &identity], &resamples);
-            let differences = differences(&pairing, &targets, &sides)?;
-            progress.advance(1);
-            let (counts, protocol) = (test_set.counts(&indices), whole_sets(protocol));
-            let mut comparison = Comparison::new(
-                task,
-                &counts,
-                names,
-                &protocol,
-                encoder,
-                reason,
-                differences,
-            );
-            let raw = &targets.latents.raw;
-            if let Some(note) = shortage_of_fid(FID_NAME, raw.num_rows(), raw.num_cols()) {
-                comparison.notes.insert(0, note);
-            }
-            Ok(comparison)
-        })
-        .collect::<Result<Vec<_>, Error>>()?;
+    let mut comparisons = Vec::with_capacity(tasks.len());
+    for (task, indices) in tasks {
+        let of_task = OfTask::new(task, &indices, &test_set, &measured, protocol)?;
+        comparisons.push(compared(&of_task, names, evaluators.encoder)?);
+        progress.advance(1);
+    }
     progress.finish(&format!("{} tasks", comparisons.len()));
     Ok(comparisons)
+}
+
+/// Compares two systems on the items of a task: in FID of whole sets, where there are enough items, and in the metrics
+/// of items.
+fn compared(
+    of_task: &OfTask<'_>,
+    names: [&str; 2],
+    encoder: &dyn MotionEncoder,
+) -> Result<Comparison, Error> {
+    let systems = &of_task.systems;
+    let place = |name: &str| systems.iter().position(|system| system.name == name);
+    let pair = names.map(|name| place(name).expect("the test set has its edits"));
+    let real = &systems[0].takes[0].latents;
+    let [num_items, width] = [real.raw.num_rows(), real.raw.num_cols()];
+    let mut differences = Vec::new();
+    if num_items >= fid::min_items(width) {
+        let sides = pair.map(|place| &systems[place]);
+        let (task, resamples) = (of_task.task, &of_task.resamples);
+        differences.extend(fid_difference(task, &real.unit, sides, resamples)?);
+    }
+    differences.extend(of_task.pairing(pair).differences(metric::ALL));
+    let protocol = whole_sets(of_task.protocol);
+    let mut comparison = Comparison::new(of_task, pair, &protocol, encoder, differences);
+    if let Some(note) = shortage_of_fid(FID_NAME, num_items, width) {
+        comparison.notes.insert(0, note);
+    }
+    Ok(comparison)
 }
 
 /// Protocol of a comparison. FID uses whole sets, because a resample of a half is too small.
@@ -174,27 +154,6 @@ fn whole_sets(protocol: &Protocol) -> Protocol {
         interval: Spread::Targets,
         ..*protocol
     }
-}
-
-/// The difference in FID of whole sets, where there are enough items, and in the metrics of items.
-fn differences(
-    pairing: &Pairing<'_>,
-    targets: &Take,
-    sides: &[System<'_>; 2],
-) -> Result<Vec<Difference>, Error> {
-    let mut found = Vec::new();
-    let raw = &targets.latents.raw;
-    if raw.num_rows() >= fid::min_items(raw.num_cols()) {
-        let real = &targets.latents.unit;
-        found.extend(fid_difference(
-            pairing.task,
-            real,
-            sides,
-            pairing.resamples,
-        )?);
-    }
-    found.extend(pairing.differences(metric::ALL));
-    Ok(found)
 }
 
 /// Two systems on the same items.
@@ -273,7 +232,7 @@ const FID_NAME: &str = "FID of whole sets";
 fn fid_difference(
     task: &str,
     real: &Matrix,
-    sides: &[System<'_>; 2],
+    sides: [&System<'_>; 2],
     resamples: &Resamples,
 ) -> Result<Option<Difference>, Error> {
     let both = |indices: &[usize]| -> Result<[f64; 2], Error> {
@@ -358,28 +317,29 @@ impl Difference {
 }
 
 impl Comparison {
-    /// A comparison by an encoder; if it cannot rank systems ([`unranked`]), no system is called better.
+    /// A comparison of two systems of a task, given by their positions. If the encoder cannot rank systems
+    /// ([`unranked`]), no system is called better.
     pub(crate) fn new(
-        task: &str,
-        counts: &Items,
-        systems: [&str; 2],
+        of_task: &OfTask<'_>,
+        pair: [usize; 2],
         protocol: &Protocol,
         encoder: &dyn MotionEncoder,
-        unranked: Option<String>,
         mut differences: Vec<Difference>,
     ) -> Self {
+        let counts = &of_task.counts;
+        let unranked = unranked(encoder, of_task.pairing([0, 1]).sides, &of_task.resamples);
         if unranked.is_some() {
             for difference in &mut differences {
                 difference.better = None;
             }
         }
         Self {
-            task: task.to_owned(),
+            task: of_task.task.to_owned(),
             n: counts.count as usize,
             targets: counts.targets,
             items_digest: counts.digest.clone(),
-            systems: systems.map(str::to_owned),
-            protocol: protocol.name(counts.count as usize),
+            systems: pair.map(|place| of_task.systems[place].name.to_owned()),
+            protocol: of_task.named(protocol),
             encoder_hash: encoder.hash(),
             unranked,
             differences,

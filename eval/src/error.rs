@@ -19,68 +19,25 @@ pub enum Error {
     #[error("{0}")]
     Invalid(String),
     /// A table of edits cannot be used.
-    #[error("in {}", path.display())]
-    TableOf {
-        /// The table.
-        path: PathBuf,
-        /// The cause.
-        source: Box<Error>,
-    },
-    /// The points of a figure cannot be made.
-    #[error("figure {figure:?}: {problem}")]
-    Figure {
-        /// Name of the figure.
-        figure: String,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// The editing times beside a table of edits cannot be read.
+    #[error("in {}", .0.display())]
+    TableOf(PathBuf, #[source] Box<Error>),
+    /// The file of editing times beside a table of edits cannot be read.
+    #[error("cannot read {}; it is written when `stance edit` edits a split", .0.display())]
+    Times(PathBuf, #[source] std::io::Error),
+    /// The item of this id cannot be used. The cause is boxed because it is larger than any other variant.
+    #[error("item {0:?} cannot be used")]
+    Item(String, #[source] Box<datasets_spec::Error>),
+    /// The columns of a row, of this system and this item, do not form a motion. The cause is boxed as that of an item.
+    #[error("system {0:?}, item {1:?}: not a motion")]
+    Motion(String, String, #[source] Box<datasets_spec::Error>),
+    /// The encoder failed on motions of this system.
+    #[error("cannot encode the motions of system {0:?}")]
+    Encoder(String, #[source] EncoderError),
+    /// The file with the report of an encoder cannot be read.
     #[error(
-        "cannot read {}; it is written when `stance edit` edits a split",
-        path.display()
+        "cannot read {0}, the report of an encoder; remove it and run the same `stance train tmr` again"
     )]
-    Times {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// An item cannot be used.
-    #[error("item {id:?} cannot be used")]
-    Item {
-        /// The item.
-        id: String,
-        /// The cause, boxed because it is larger than any other variant.
-        source: Box<datasets_spec::Error>,
-    },
-    /// The columns of a row do not form a motion.
-    #[error("system {system:?}, item {id:?}: not a motion")]
-    Motion {
-        /// The system.
-        system: String,
-        /// The item.
-        id: String,
-        /// The cause, boxed because it is larger than any other variant.
-        source: Box<datasets_spec::Error>,
-    },
-    /// The encoder failed.
-    #[error("cannot encode the motions of system {system:?}")]
-    Encoder {
-        /// The system.
-        system: String,
-        /// The cause.
-        source: EncoderError,
-    },
-    /// The report of an encoder cannot be read.
-    #[error(
-        "cannot read {path}, the report of an encoder; remove it and run the same `stance train tmr` again"
-    )]
-    Report {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
+    Report(PathBuf, #[source] std::io::Error),
     /// A score table cannot be written as JSON.
     #[error("cannot write the scores as JSON")]
     Json(#[from] serde_json::Error),

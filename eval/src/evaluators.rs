@@ -30,6 +30,9 @@ pub trait MotionClassifier {
     /// # Errors
     /// The network's own error.
     fn composed(&self, motions: &[&Motion]) -> Result<Vec<Option<f64>>, EncoderError>;
+
+    /// The hash of the weights in hexadecimal, which the protocol of a score names.
+    fn hash(&self) -> String;
 }
 
 /// Networks and body model for measuring motions.

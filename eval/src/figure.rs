@@ -66,20 +66,15 @@ pub struct Point {
 impl Point {
     /// The changes in words.
     pub fn name(&self) -> String {
-        let parts: Vec<String> = self
-            .changes
-            .iter()
-            .map(|(key, value)| format!("{key} = {value}"))
-            .collect();
-        parts.join(", ")
+        let changes = self.changes.iter();
+        let parts = changes.map(|(key, value)| format!("{key} = {value}"));
+        parts.collect::<Vec<_>>().join(", ")
     }
 
     /// The value of a changed setting.
     pub fn value(&self, key: &str) -> Option<&Value> {
-        let mut changes = self.changes.iter();
-        changes
-            .find(|(changed, _)| changed == key)
-            .map(|(_, value)| value)
+        let (_, value) = self.changes.iter().find(|(changed, _)| changed == key)?;
+        Some(value)
     }
 }
 
@@ -89,10 +84,7 @@ impl Figure {
     /// # Errors
     /// A second setting has no values, values have no second setting, or a key names no section.
     pub fn points(&self, own: &Sections) -> Result<Vec<Point>, Error> {
-        let failed = |problem: String| Error::Figure {
-            figure: self.name.clone(),
-            problem,
-        };
+        let failed = |problem: String| Error::Invalid(format!("figure {:?}: {problem}", self.name));
         if self.second_key.is_some() == self.second_values.is_empty() {
             let problem = "it needs second_key and second_values together";
             return Err(failed(problem.to_owned()));

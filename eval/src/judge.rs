@@ -8,9 +8,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::Seed;
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::ScoreRow;
+use datasets_spec::{Seed, Split};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -87,21 +87,9 @@ pub struct Bounded {
     pub lower: f64,
 }
 
-/// Identity of the encoder and data of a report.
-#[derive(Clone, Copy, Debug)]
-pub struct About<'a> {
-    /// Hash of the encoder's weights.
-    pub encoder_hash: &'a str,
-    /// Root hash of the dataset.
-    pub dataset_hash: &'a str,
-    /// Split of the clips.
-    pub split: &'a str,
-    /// Seed of galleries and bootstrap draws.
-    pub seed: Seed,
-}
-
 impl JudgeReport {
-    /// Measures an encoder with the default galleries and repeats.
+    /// Measures the encoder of this hash with the default galleries and repeats, on clips of a dataset, given by its
+    /// root hash, and a split. `seed` is that of galleries and bootstrap draws.
     ///
     /// # Shapes
     /// `texts` `[N]`; the latents of texts and of motions `[N, D]`.
@@ -112,39 +100,30 @@ impl JudgeReport {
         texts: &[&str],
         text_latents: &[Vec<f64>],
         motion_latents: &[Vec<f64>],
-        about: About<'_>,
+        encoder_hash: &str,
+        (dataset_hash, split): (&str, Split),
+        seed: Seed,
     ) -> Result<Self, Error> {
         let protocol = Protocol {
-            seed: about.seed,
+            seed,
             ..Protocol::default()
         };
         let repeats = encoder_retrieval(texts, text_latents, motion_latents, &protocol)?;
-        let mut queries = [(); 2].map(|()| Queries::of(texts.len()));
-        for (galleries, ranks) in &repeats {
-            let sides = [&ranks.text_to_motion, &ranks.motion_to_text];
-            for (queries, ranks) in queries.iter_mut().zip(sides) {
-                for (indices, ranks) in galleries.iter().zip(ranks) {
-                    for (&query, &rank) in indices.iter().zip(ranks) {
-                        queries.add(query, RECALL_CUTS.map(|k| f64::from(rank < k as f64)));
-                    }
-                }
-            }
-        }
         let resamples = Resamples::new(texts.iter().copied(), &protocol);
-        let [text_to_motion, motion_to_text] = queries.map(|queries| queries.recalls(&resamples));
+        let recalls = |of: Direction| recalls(texts.len(), &repeats, of, &resamples);
         let [r1, _, r3] = chance(texts, &repeats);
         Ok(Self {
             format: FORMAT,
-            encoder_hash: about.encoder_hash.to_owned(),
-            dataset_hash: about.dataset_hash.to_owned(),
-            split: about.split.to_owned(),
-            seed: about.seed.0,
+            encoder_hash: encoder_hash.to_owned(),
+            dataset_hash: dataset_hash.to_owned(),
+            split: split.as_str().to_owned(),
+            seed: seed.0,
             clips: texts.len(),
             texts: texts.iter().collect::<BTreeSet<_>>().len(),
             gallery: protocol.gallery_sizes(texts.len()).0,
             repeats: protocol.repeats,
-            text_to_motion,
-            motion_to_text,
+            text_to_motion: recalls(|ranks| &ranks.text_to_motion),
+            motion_to_text: recalls(|ranks| &ranks.motion_to_text),
             chance: Recalls { r1, r3 },
         })
     }
@@ -240,45 +219,39 @@ pub fn encoder_retrieval(
     Ok((0..protocol.repeats).map(of_repeat).collect())
 }
 
-/// Cut-offs of the recalls in a report.
-const RECALL_CUTS: [usize; 2] = [RECALL_AT[0], RECALL_AT[2]];
+/// The ranks of one direction in the galleries of a repeat.
+type Direction = fn(&CrossRanks) -> &Vec<Vec<f64>>;
 
-/// Values of each query, summed over the repeats that ranked it.
-struct Queries {
-    sums: [Vec<f64>; RECALL_CUTS.len()],
-    counts: Vec<f64>,
-}
-
-impl Queries {
-    fn of(count: usize) -> Self {
-        Self {
-            sums: RECALL_CUTS.map(|_| vec![0.0; count]),
-            counts: vec![0.0; count],
+/// The recalls of one direction. Each query counts with its mean over the repeats that ranked it.
+fn recalls(
+    num_queries: usize,
+    repeats: &[RankedGalleries],
+    direction: Direction,
+    resamples: &Resamples,
+) -> Recalls<Bounded> {
+    let [r1, r3] = [RECALL_AT[0], RECALL_AT[2]].map(|k| {
+        let mut of_query = vec![(0.0, 0.0); num_queries];
+        for (galleries, ranks) in repeats {
+            for (indices, ranks) in galleries.iter().zip(direction(ranks)) {
+                for (&query, &rank) in indices.iter().zip(ranks) {
+                    of_query[query].0 += f64::from(rank < k as f64);
+                    of_query[query].1 += 1.0;
+                }
+            }
         }
-    }
-
-    fn add(&mut self, query: usize, values: [f64; RECALL_CUTS.len()]) {
-        self.counts[query] += 1.0;
-        for (sums, value) in self.sums.iter_mut().zip(values) {
-            sums[query] += value;
-        }
-    }
-
-    /// The mean of each query in percent; NaN if no gallery contained it.
-    fn percent(&self) -> [Vec<f64>; RECALL_CUTS.len()] {
-        self.sums.each_ref().map(|sums| {
-            let means = sums.iter().zip(&self.counts);
-            means.map(|(sum, count)| 100.0 * sum / count).collect()
-        })
-    }
-
-    fn recalls(&self, resamples: &Resamples) -> Recalls<Bounded> {
-        let [r1, r3] = self.percent().map(|values| Bounded {
+        let values = percent(&of_query);
+        Bounded {
             mean: mean_of_known(&values).unwrap_or(f64::NAN),
             lower: quantile(&mut resamples.means(&values), TAIL).unwrap_or(f64::NAN),
-        });
-        Recalls { r1, r3 }
-    }
+        }
+    });
+    Recalls { r1, r3 }
+}
+
+/// The mean of each query in percent, from the sum and the number of its values; NaN if no gallery contained it.
+fn percent(of_query: &[(f64, f64)]) -> Vec<f64> {
+    let means = of_query.iter().map(|(sum, count)| 100.0 * sum / count);
+    means.collect()
 }
 
 /// Recalls at [`RECALL_AT`] of a random order of the same galleries, in percent: the mean over the texts. Motions with
@@ -294,8 +267,7 @@ pub fn chance(texts: &[&str], repeats: &[RankedGalleries]) -> [f64; RECALL_AT.le
                 of_query[query].1 += 1.0;
             }
         }
-        let percent = of_query.iter().map(|(sum, count)| 100.0 * sum / count);
-        mean_of_known(&percent.collect::<Vec<f64>>()).unwrap_or(f64::NAN)
+        mean_of_known(&percent(&of_query)).unwrap_or(f64::NAN)
     })
 }
 
@@ -314,10 +286,7 @@ fn of_random_order(gallery: usize, hits: usize, k: usize) -> f64 {
 /// The report cannot be read.
 pub fn weakness(run: &Path, encoder_hash: &str) -> Result<Option<String>, Error> {
     let path = run.join(REPORT);
-    let failed = |source| Error::Report {
-        path: path.clone(),
-        source,
-    };
+    let failed = |source| Error::Report(path.clone(), source);
     let text = match std::fs::read(&path) {
         Ok(text) => text,
         Err(source) if source.kind() == std::io::ErrorKind::NotFound => {

@@ -10,10 +10,9 @@ use std::collections::BTreeMap;
 use crate::metric::diversity::DIVERSITY;
 use crate::metric::fid::FID;
 use crate::metric::foot_score::FOOT_SCORE;
-use crate::metric::{Metric, retrieval};
-use crate::names::{IDENTITY, REAL_DATA};
+use crate::metric::{self, Metric};
 use crate::protocol::{Gallery, PAPER_GALLERY};
-use crate::table::{Cell, Row, Table};
+use crate::table::{Cell, Row, RowGroup, Table};
 
 /// A printed value, with the half width of its interval if one is printed.
 type Value = Option<(f64, Option<f64>)>;
@@ -21,20 +20,10 @@ type Value = Option<(f64, Option<f64>)>;
 /// Number of columns of the paper's Table 1.
 const NUM_COLUMNS: usize = 11;
 
-/// The printed columns, in order.
-static COLUMNS: [&Metric; NUM_COLUMNS] = [
-    &FID,
-    &DIVERSITY,
-    &FOOT_SCORE,
-    &retrieval::E2S_RECALL_1,
-    &retrieval::E2S_RECALL_2,
-    &retrieval::E2S_RECALL_3,
-    &retrieval::E2S_AVERAGE_RANK,
-    &retrieval::E2T_RECALL_1,
-    &retrieval::E2T_RECALL_2,
-    &retrieval::E2T_RECALL_3,
-    &retrieval::E2T_AVERAGE_RANK,
-];
+/// The printed columns, in order: the first of all metrics.
+fn columns() -> &'static [&'static Metric] {
+    &metric::ALL[..NUM_COLUMNS]
+}
 
 /// The rows of one task in a table of the paper.
 #[derive(Clone, Copy, Debug)]
@@ -61,19 +50,15 @@ impl Published {
             .iter()
             .map(|printed| Row {
                 system: printed.system.to_owned(),
-                baseline: [REAL_DATA, IDENTITY].contains(&printed.system),
-                published: true,
+                group: RowGroup::Published,
                 takes: 0,
                 cells: metrics
                     .iter()
                     .map(|metric| {
-                        let place = COLUMNS.iter().position(|known| known == metric)?;
+                        let place = columns().iter().position(|known| known == metric)?;
                         let (mean, ci95) = printed.values[place]?;
-                        Some(Cell {
-                            mean,
-                            ci95,
-                            best: false,
-                        })
+                        let best = false;
+                        Some(Cell { mean, ci95, best })
                     })
                     .collect(),
             })
@@ -142,7 +127,7 @@ impl PaperTable {
             Self::A2 => &[&DIVERSITY, &FOOT_SCORE],
             Self::A3 => &[&DIVERSITY],
         };
-        let columns = COLUMNS.into_iter();
+        let columns = columns().iter().copied();
         columns
             .filter(|metric| !left_out.contains(metric))
             .collect()
@@ -279,16 +264,17 @@ const TABLES: &[Published] = &[
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metric::{self, Better, Measure, Part, RankSummary};
+    use crate::metric::{Better, Measure, Part, RankSummary, retrieval};
+    use crate::names::REAL_DATA;
     use crate::table::tests::sample_table;
 
     #[test]
     fn shares_rise_with_k_and_real_data_find_themselves() {
         for table in TABLES {
-            for row in table.rows(&COLUMNS) {
+            for row in table.rows(columns()) {
                 let what = format!("{:?} {}", table.table, row.system);
                 let value = |metric: &Metric| {
-                    let place = COLUMNS.iter().position(|known| *known == metric);
+                    let place = columns().iter().position(|known| *known == metric);
                     let cell = row.cells[place.expect("a column of the paper")];
                     cell.expect("printed").mean
                 };
@@ -296,12 +282,12 @@ mod tests {
                     if row.cells[family.start].is_none() {
                         continue;
                     }
-                    let shares: Vec<f64> = family.map(|at| value(COLUMNS[at])).collect();
+                    let shares: Vec<f64> = columns()[family].iter().map(|of| value(of)).collect();
                     assert!(shares.is_sorted(), "{what}: {shares:?}");
                     assert!(shares[2] <= 100.0 && shares[0] > 0.0);
                 }
                 assert!(value(&retrieval::E2T_AVERAGE_RANK) >= 1.0);
-                if row.baseline && table.table != PaperTable::A3 {
+                if row.system == REAL_DATA && table.table != PaperTable::A3 {
                     assert_eq!(value(&retrieval::E2T_RECALL_1), 100.0);
                 }
             }
@@ -317,7 +303,7 @@ mod tests {
             assert_eq!((FID.better)(table.task), Better::Lower);
             let best = rows
                 .iter()
-                .filter(|row| !row.baseline && row.cells[0].is_some())
+                .filter(|row| row.system != REAL_DATA && row.cells[0].is_some())
                 .min_by(|a, b| fid(a).total_cmp(&fid(b)))
                 .expect("rows");
             assert_eq!(best.system, "MotionReFit", "{:?}", table.table);
@@ -339,7 +325,7 @@ mod tests {
                 };
                 let shares: Vec<f64> = (0..NUM_COLUMNS)
                     .filter(|&place| {
-                        let measure = COLUMNS[place].measure;
+                        let measure = columns()[place].measure;
                         matches!(measure, Measure::Rank(_, RankSummary::Recall(_)))
                     })
                     .filter_map(|place| printed.values[place].map(|(mean, _)| mean))
@@ -402,7 +388,8 @@ mod tests {
         assert!(table.append_published(PaperTable::One));
         assert_eq!(table.rows[..measured.len()], measured);
         for row in &table.rows[measured.len()..] {
-            assert!(row.published && row.cells.iter().flatten().all(|cell| !cell.best));
+            assert_eq!(row.group, RowGroup::Published);
+            assert!(row.cells.iter().flatten().all(|cell| !cell.best));
         }
         assert!(!table.append_published(PaperTable::A3));
         table.task = "all".to_owned();

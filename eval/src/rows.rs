@@ -64,24 +64,20 @@ datasets_spec::table! {
     }
 }
 
-impl From<&ItemRow> for ItemFacts {
-    fn from(row: &ItemRow) -> Self {
-        Self {
-            id: row.id.clone(),
-            task: row.task.clone(),
-            split: row.split,
-            instruction: row.instruction.clone(),
-            source_id: row.source_id.clone(),
-            target_id: row.target_id.clone(),
-            parts: row.parts.clone(),
-            novelty: row.novelty.clone(),
-            fps: row.fps,
-            source_frames: row.source_frames,
-            target_frames: row.target_frames,
-            other_frames: row.other_frames,
+/// Copies the named columns of a row.
+macro_rules! copied {
+    ($facts:ident of $row:ident: $($column:ident),*) => {
+        impl From<&$row> for $facts {
+            fn from(row: &$row) -> Self {
+                Self { $($column: Clone::clone(&row.$column)),* }
+            }
         }
-    }
+    };
 }
+copied!(ItemFacts of ItemRow: id, task, split, instruction, source_id, target_id, parts, novelty,
+    fps, source_frames, target_frames, other_frames);
+copied!(EditFacts of EditRow: id, system, checkpoint_hash, settings_hash, settings, seed,
+    fps, n_frames, fit_error_m, bone_drift_m);
 
 impl ItemFacts {
     /// Makes the edit row of the item with this motion, as [`EditRow::answering`] does.
@@ -94,23 +90,6 @@ impl ItemFacts {
             ..ItemRow::blank(&self.target_id, self.split)
         };
         EditRow::answering(&item, motion)
-    }
-}
-
-impl From<&EditRow> for EditFacts {
-    fn from(row: &EditRow) -> Self {
-        Self {
-            id: row.id.clone(),
-            system: row.system.clone(),
-            checkpoint_hash: row.checkpoint_hash.clone(),
-            settings_hash: row.settings_hash.clone(),
-            settings: row.settings.clone(),
-            seed: row.seed,
-            fps: row.fps,
-            n_frames: row.n_frames,
-            fit_error_m: row.fit_error_m,
-            bone_drift_m: row.bone_drift_m,
-        }
     }
 }
 

@@ -61,14 +61,23 @@ pub struct Items {
 pub struct Row {
     /// Name of the system.
     pub system: String,
-    /// Whether the row is a reference (real data, identity, noise floor) rather than a system.
-    pub baseline: bool,
-    /// Whether the values are taken from a publication and were not measured.
-    pub published: bool,
+    /// What kind of row it is.
+    pub group: RowGroup,
     /// Number of motions per item.
     pub takes: u32,
     /// One cell per column; `None` if the metric was not measured.
     pub cells: Vec<Option<Cell>>,
+}
+
+/// Groups of rows, which formats separate visually.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RowGroup {
+    /// A reference: real data, identity editor or noise floor.
+    Baseline,
+    /// A system that was measured here.
+    System,
+    /// Values of a publication, which were not measured here.
+    Published,
 }
 
 /// A cell of a table.
@@ -181,7 +190,7 @@ impl Table {
     pub fn sort_systems(&mut self, names: &[&str]) {
         self.rows.sort_by_key(|row| {
             let place = names.iter().position(|name| *name == row.system);
-            (!row.baseline).then(|| place.unwrap_or(names.len()))
+            (row.group != RowGroup::Baseline).then(|| place.unwrap_or(names.len()))
         });
     }
 
@@ -216,7 +225,8 @@ impl Table {
 
     /// The number of motions per item, in words.
     fn takes(&self) -> String {
-        let systems = || self.rows.iter().filter(|row| competes(row));
+        let is_system = |row: &&Row| row.group == RowGroup::System;
+        let systems = || self.rows.iter().filter(is_system);
         let of = |row: &Row| counted(row.takes, "take");
         match systems().next() {
             None => String::new(),
@@ -260,8 +270,10 @@ fn rows(scores: &[&ScoreRow], standings: Option<&[Standing]>, columns: &[Column]
         };
         Row {
             system: system.to_owned(),
-            baseline: GIVEN.contains(&system),
-            published: false,
+            group: match GIVEN.contains(&system) {
+                true => RowGroup::Baseline,
+                false => RowGroup::System,
+            },
             takes: own
                 .clone()
                 .next_back()
@@ -270,11 +282,6 @@ fn rows(scores: &[&ScoreRow], standings: Option<&[Standing]>, columns: &[Column]
         }
     };
     systems.into_iter().map(row).collect()
-}
-
-/// Whether a row is a system that was measured here.
-fn competes(row: &Row) -> bool {
-    !row.baseline && !row.published
 }
 
 /// Notes about values left out because of too few items, one sentence for each task and metric.

@@ -45,7 +45,7 @@ impl WindowTimes {
         let parsed = ByPath
             .read(&path)
             .and_then(|bytes| Ok(serde_json::from_slice(&bytes)?));
-        parsed.map_err(|source| Error::Times { path, source })
+        parsed.map_err(|source| Error::Times(path, source))
     }
 
     /// Records the times beside a table of edits.
@@ -60,10 +60,7 @@ impl WindowTimes {
             file.write_all(&text)?;
             file.publish()
         };
-        write().map_err(|source| Error::Times {
-            path: path.clone(),
-            source,
-        })
+        write().map_err(|source| Error::Times(path.clone(), source))
     }
 
     /// Whether windows were timed: some systems, such as the nearest neighbour, generate none.

@@ -2,6 +2,9 @@
 //!
 //! Stages are counted in source frames a second, the matrix product in floating-point operations and the copy in bytes.
 
+#[path = "../../datasets-spec/kinematics/benches/shared/calibration.rs"]
+mod calibration;
+
 use std::path::Path;
 
 use clip::Outcome;
@@ -10,7 +13,7 @@ use corpus::CorpusOptions;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Quality, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
-use divan::counter::{BytesCount, ItemsCount};
+use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use formats::source::bvh::BvhFile;
 use formats::source::{ReadOptions, amass};
@@ -107,15 +110,17 @@ fn parse_and_retarget(bencher: Bencher) {
     bencher.bench_local(|| motion_of(black_box(&text)));
 }
 
+fn resampled_motion_of(text: &str) -> Motion {
+    let motion = motion_of(text);
+    let resampled = Resample::Exact.apply(&motion, Fps::STORE);
+    resampled.expect("resamples")
+}
+
 #[divan::bench]
 fn parse_retarget_and_resample(bencher: Bencher) {
     let text = file();
-    bencher.counter(frames()).bench_local(|| {
-        let motion = motion_of(black_box(&text));
-        Resample::Exact
-            .apply(&motion, Fps::STORE)
-            .expect("resamples")
-    });
+    let bencher = bencher.counter(frames());
+    bencher.bench_local(|| resampled_motion_of(black_box(&text)));
 }
 
 /// Files that go into one shard; a shard of the store holds up to 256.
@@ -128,13 +133,7 @@ fn to_parquet(bencher: Bencher) {
         .counter(ItemsCount::new(NUM_FILES * NUM_FRAMES))
         .bench_local(|| {
             let rows: Vec<MotionRow> = (0..NUM_FILES)
-                .map(|_| {
-                    let motion = motion_of(black_box(&text));
-                    let motion = Resample::Exact
-                        .apply(&motion, Fps::STORE)
-                        .expect("resamples");
-                    row(&motion)
-                })
+                .map(|_| row(&resampled_motion_of(black_box(&text))))
                 .collect();
             write_rows(Vec::new(), Path::new("bench.parquet"), &rows, &[]).expect("written")
         });
@@ -192,49 +191,4 @@ fn row(motion: &Motion) -> MotionRow {
             motion,
         )
     }
-}
-
-/// Rows and columns of the matrices of the calibration.
-const EDGE: usize = 512;
-
-/// A matrix product, blocked so that 64 rows of `b` (128 KiB) are reused from a cache.
-#[divan::bench]
-fn calibration_matrix_product(bencher: Bencher) {
-    const BLOCK: usize = 64;
-    let a = vec![1.5f32; EDGE * EDGE];
-    let b = vec![0.25f32; EDGE * EDGE];
-    let mut c = vec![0.0f32; EDGE * EDGE];
-    let operations = 2 * EDGE * EDGE * EDGE;
-    bencher
-        .counter(ItemsCount::new(operations))
-        .bench_local(|| {
-            c.fill(0.0);
-            for k0 in (0..EDGE).step_by(BLOCK) {
-                for (a_row, c_row) in black_box(&a)
-                    .chunks_exact(EDGE)
-                    .zip(c.chunks_exact_mut(EDGE))
-                {
-                    for k in k0..k0 + BLOCK {
-                        let factor = a_row[k];
-                        let b_row = &b[k * EDGE..][..EDGE];
-                        for (sum, value) in c_row.iter_mut().zip(b_row) {
-                            *sum += factor * value;
-                        }
-                    }
-                }
-            }
-            black_box(c[EDGE + 1])
-        });
-}
-
-/// Copies 256 MiB, which is more than a cache holds.
-#[divan::bench]
-fn calibration_copy(bencher: Bencher) {
-    const LEN: usize = 256 << 20;
-    let from = vec![1u8; LEN];
-    let mut to = vec![0u8; LEN];
-    bencher.counter(BytesCount::new(LEN)).bench_local(|| {
-        to.copy_from_slice(black_box(&from));
-        black_box(to[LEN / 2])
-    });
 }

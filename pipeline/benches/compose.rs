@@ -16,9 +16,7 @@ use compose::{
     WindowLoader,
 };
 use corpus::{CorpusOptions, write_corpus};
-use datasets_spec::dataset::{Commit, Transaction, commit_rows};
-use datasets_spec::record::{MaskRow, MotionRow, PairRow, WindowRow};
-use datasets_spec::table::Row;
+use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::{Dataset, NoProgress, Seed, Split};
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -42,58 +40,28 @@ fn library() -> Arc<Library> {
         ..CorpusOptions::default()
     };
     write_corpus(&corpus, &options, &NoProgress).expect("written");
-    ingest(
-        &[corpus],
-        &out,
-        &IngestOptions::default(),
-        "bench",
-        &NoProgress,
-    )
-    .expect("ingested");
+    let options = IngestOptions::default();
+    ingest(&[corpus], &out, &options, "bench", &NoProgress).expect("ingested");
     let dataset = Dataset::open(&out).expect("a dataset");
-    let all: Vec<MotionRow> = dataset.read(None).expect("rows");
+    let mut motions: Vec<MotionRow> = dataset.read(None).expect("rows");
     let skeleton = dataset.skeleton().expect("a skeleton");
-    let masks = automatic_masks(&all, &skeleton, &MaskConfig::default()).expect("masks");
-    let of_train = |split: Split| split == Split::Train;
-    let motions: Vec<MotionRow> = all.into_iter().filter(|row| of_train(row.split)).collect();
-    let masks: Vec<MaskRow> = masks
-        .into_iter()
-        .filter(|row| of_train(row.split))
-        .collect();
+    let masks = automatic_masks(&motions, &skeleton, &MaskConfig::default());
+    let mut masks = masks.expect("masks");
+    motions.retain(|row| row.split == Split::Train);
+    masks.retain(|row| row.split == Split::Train);
     let pairs: Vec<PairRow> = motions
         .windows(2)
         .map(|pair| PairRow {
             id: pair[0].id.to_string(),
-            split: Split::Train,
-            source: "bench".to_owned(),
-            kind: "style".to_owned(),
             source_id: pair[0].id.clone(),
             target_id: pair[1].id.clone(),
-            style: Some("old".to_owned()),
-            parts: Vec::new(),
-            instruction: String::new(),
-            edit_type: None,
-            accepted_by: None,
+            ..testkit::pair_row("style", Split::Train, 0, 1)
         })
         .collect();
     let labelled = dir.path().join("labelled");
-    let transaction = Transaction::begin(&labelled, "bench").expect("begins");
-    let train = Some(Split::Train);
-    let tables = [
-        (
-            MotionRow::TABLE,
-            transaction.write_shards(train, &motions, &[]),
-        ),
-        (MaskRow::TABLE, transaction.write_shards(train, &masks, &[])),
-        (PairRow::TABLE, transaction.write_shards(train, &pairs, &[])),
-    ];
-    let tables = tables.map(|(table, files)| (table.to_owned(), files.expect("written")));
-    let commit = Commit {
-        tables: tables.into(),
-        skeleton,
-        ..Commit::default()
-    };
-    let dataset = transaction.commit(commit).expect("committed");
+    testkit::commit(&labelled, &motions, |row| row.split, "motions");
+    testkit::commit(&labelled, &masks, |row| row.split, "masks");
+    let dataset = testkit::commit(&labelled, &pairs, |row| row.split, "pairs");
     let cache = FrameCache {
         folder: dir.path().join("frames"),
         ..FrameCache::default()
@@ -158,9 +126,7 @@ fn recorded(dir: &Path) -> Dataset {
     let mut rows = Vec::new();
     let recorded = stream.for_each_recorded(0..RECORDED, |row, _, _| rows.push(row));
     recorded.expect("in memory");
-    let split_of: fn(&WindowRow) -> Split = |row| row.split;
-    let skeleton = stream.library().skeleton();
-    commit_rows(dir, &rows, Some(split_of), skeleton, "plan", "bench").expect("committed")
+    testkit::commit(dir, &rows, |row| row.split, "plan")
 }
 
 fn read(bencher: Bencher, order: ReadOrder) {

@@ -3,6 +3,9 @@
 //! `cargo bench --bench features`; one thread. Rates are frames a second, to be compared with the matrix product and
 //! the copy of the same run.
 
+#[path = "../../datasets-spec/kinematics/benches/shared/calibration.rs"]
+mod calibration;
+
 use std::hint::black_box;
 use std::path::Path;
 
@@ -12,7 +15,7 @@ use datasets_spec::record::HumanMl3dRow;
 use datasets_spec::table::write_rows;
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::Bencher;
-use divan::counter::{BytesCount, ItemsCount};
+use divan::counter::ItemsCount;
 use features::humanml3d;
 use formats::source::{ReadOptions, amass};
 use formats::write;
@@ -114,62 +117,4 @@ fn amass_to_parquet(bencher: Bencher) {
             .collect();
         write_rows(Vec::new(), Path::new("memory"), &rows, &[])
     });
-}
-
-/// Throughput of the machine, measured in the same run.
-mod calibration {
-    use super::*;
-
-    /// Numbers that are copied: 64 MiB, more than most caches hold.
-    const COPIED: usize = 16 << 20;
-    const SIDE: usize = 512;
-    /// Rows and columns of the result that are summed at a time, so that they stay in registers.
-    const ROWS: usize = 4;
-    const COLUMNS: usize = 8;
-
-    /// Bandwidth of a copy, counting bytes read and written.
-    #[divan::bench]
-    fn copy(bencher: Bencher) {
-        let from = vec![1.0f32; COPIED];
-        let mut to = vec![0.0f32; COPIED];
-        let bencher = bencher.counter(BytesCount::new(2 * size_of_val(from.as_slice())));
-        bencher.bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
-    }
-
-    /// A product of two square matrices, in floating-point operations a second.
-    #[divan::bench]
-    fn matrix_product(bencher: Bencher) {
-        let (a, b) = (vec![1.0f32; SIDE * SIDE], vec![0.5f32; SIDE * SIDE]);
-        let mut product = vec![0.0f32; SIDE * SIDE];
-        bencher
-            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
-            .bench_local(|| {
-                multiply(black_box(&a), black_box(&b), &mut product);
-                black_box(&product);
-            });
-    }
-
-    fn multiply(a: &[f32], b: &[f32], product: &mut [f32]) {
-        let mut panel = vec![[0.0f32; COLUMNS]; SIDE];
-        for column in (0..SIDE).step_by(COLUMNS) {
-            for (line, row) in panel.iter_mut().zip(b.chunks_exact(SIDE)) {
-                line.copy_from_slice(&row[column..column + COLUMNS]);
-            }
-            let rows = a.chunks_exact(ROWS * SIDE);
-            for (rows, out) in rows.zip(product.chunks_exact_mut(ROWS * SIDE)) {
-                let mut sums = [[0.0f32; COLUMNS]; ROWS];
-                for (k, line) in panel.iter().enumerate() {
-                    for (row, sums) in sums.iter_mut().enumerate() {
-                        let factor = rows[row * SIDE + k];
-                        for (sum, value) in sums.iter_mut().zip(line) {
-                            *sum += factor * value;
-                        }
-                    }
-                }
-                for (row, sums) in sums.iter().enumerate() {
-                    out[row * SIDE + column..][..COLUMNS].copy_from_slice(sums);
-                }
-            }
-        }
-    }
 }

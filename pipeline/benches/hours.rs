@@ -55,7 +55,7 @@ fn main() -> Result<(), Failure> {
                     condition: None,
                 };
                 let (dataset, out) = (Path::new(dataset), Path::new(out));
-                let made = recording::record(dataset, out, &settings, &context)?;
+                let (made, _) = recording::record(dataset, out, &settings, &context)?;
                 Ok(made.manifest().root_hash.clone())
             })
         }
@@ -123,16 +123,11 @@ fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
         ..CorpusOptions::default()
     };
     write_corpus(&sources, &options, &NoProgress)?;
-    ingest(
-        &[sources],
-        &ingested,
-        &IngestOptions {
-            fps: Some(Fps::new(fps)?),
-            ..IngestOptions::default()
-        },
-        "bench",
-        &NoProgress,
-    )?;
+    let options = IngestOptions {
+        fps: Some(Fps::new(fps)?),
+        ..IngestOptions::default()
+    };
+    ingest(&[sources], &ingested, &options, "bench", &NoProgress)?;
     let dataset = Dataset::open(&ingested)?;
     let skeleton = dataset.skeleton()?;
     let mut motions: Vec<MotionRow> = dataset.read(None)?;
@@ -142,12 +137,9 @@ fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
         let columns = [
             row.transl.as_flattened_mut(),
             row.global_orient.as_flattened_mut(),
+            row.body_pose.as_flattened_mut(),
         ];
-        for number in columns
-            .into_iter()
-            .chain([row.body_pose.as_flattened_mut()])
-            .flatten()
-        {
+        for number in columns.into_iter().flatten() {
             *number = (*number * 256.0).round() / 256.0;
         }
     }

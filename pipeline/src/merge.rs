@@ -46,8 +46,9 @@ pub struct Merged {
     /// Numbers of automatic masks and pairs of clips of both datasets that gave way to labels of the other dataset, by
     /// table.
     pub gave_way: BTreeMap<String, u64>,
-    /// New ids of masks and pairs of the second dataset, by their old ids, under which the first has another label.
-    pub renamed_labels: BTreeMap<String, String>,
+    /// New ids of masks and pairs of the second dataset, by table and by their old ids, under which the first has
+    /// another label.
+    pub renamed_labels: BTreeMap<&'static str, BTreeMap<String, String>>,
     /// Tables of either dataset that the result does not contain: what stages made of all clips.
     pub left_tables: Vec<String>,
     /// Ids of pairs and masks that were dropped, because people rejected them in one of the datasets and nobody accepted
@@ -84,20 +85,7 @@ pub fn merge(
 ) -> Result<Merged, Error> {
     let datasets = [Dataset::open(first)?, Dataset::open(second)?];
     let [a, b] = &datasets;
-    for dataset in &datasets {
-        let tables = &dataset.manifest().tables;
-        if ![MotionRow::TABLE, MarkerRow::TABLE]
-            .iter()
-            .any(|table| tables.contains_key(*table))
-        {
-            let tables: Vec<&str> = tables.keys().map(String::as_str).collect();
-            return Err(Error::refused(format!(
-                "{} holds no motions, only {}; merge joins datasets of motions",
-                dataset.root().display(),
-                tables.join(", ")
-            )));
-        }
-    }
+    datasets.iter().try_for_each(check_motions)?;
     let skeleton = common_skeleton(a, b)?;
     let clips = [clips(a)?, clips(b)?];
     check_settings(&datasets, &clips)?;
@@ -132,19 +120,8 @@ pub fn merge(
     }
     let rows = &labels.rows;
     tables.extend(rows.write(&Labels::default(), &transaction, &skeleton, &plan)?);
-    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
-    for part in parts {
-        part.passed_over(&mut quarantine, &mut skipped)?;
-    }
-    tables.insert(
-        QuarantineRow::TABLE.to_owned(),
-        transaction.write_shards(None, &quarantine, &shard_facts)?,
-    );
-    tables.insert(
-        SkippedRow::TABLE.to_owned(),
-        transaction.write_shards(None, &skipped, &shard_facts)?,
-    );
     let num_clips = splits.len() as u64;
+    let accounting = passed_over(parts, num_clips, &transaction, &shard_facts, &mut tables)?;
     let store = transaction.store();
     let places = sources.places(store.as_ref(), [first, second])?;
     places.write(store.as_ref(), transaction.root())?;
@@ -152,26 +129,20 @@ pub fn merge(
         tables,
         plan_hash: plan,
         skeleton,
-        accounting: Some(Accounting::of(
-            num_clips,
-            skipped.len() as u64,
-            quarantine.into_iter().map(|row| row.code),
-        )),
+        accounting: Some(accounting),
         facts,
         ..Commit::default()
     })?;
     progress.finish(&format!("{num_clips} clips{}", labels.says()));
+    let moved = added.splits.iter();
+    let moved = moved.map(|(id, split)| (added.id(id).to_string(), *split));
     let names = |(from, to): (&MotionId, &MotionId)| (from.to_string(), to.to_string());
     Ok(Merged {
         clips: num_clips,
         shared: added.shared.iter().map(ToString::to_string).collect(),
         differing: differing_clips,
         renamed: added.ids.iter().map(names).collect(),
-        moved: added
-            .splits
-            .iter()
-            .map(|(id, split)| (added.id(id).to_string(), *split))
-            .collect(),
+        moved: moved.collect(),
         license_warning: license::warning(&licenses),
         dropped_labels: labels.parted,
         gave_way: labels.gave_way,
@@ -182,6 +153,41 @@ pub fn merge(
         rejected: labels.rejected.into_iter().collect(),
         root_hash: dataset.manifest().root_hash.clone(),
     })
+}
+
+/// Refuses a dataset without motions, such as a folder of items.
+fn check_motions(dataset: &Dataset) -> Result<(), Error> {
+    let tables = &dataset.manifest().tables;
+    let mut of_clips = [MotionRow::TABLE, MarkerRow::TABLE].into_iter();
+    if of_clips.any(|table| tables.contains_key(table)) {
+        return Ok(());
+    }
+    let tables: Vec<&str> = tables.keys().map(String::as_str).collect();
+    Err(Error::refused(format!(
+        "{} holds no motions, only {}; merge joins datasets of motions",
+        dataset.root().display(),
+        tables.join(", ")
+    )))
+}
+
+/// Writes the tables of what the datasets quarantined and skipped, and counts all.
+fn passed_over(
+    parts: [&Part<'_>; 2],
+    num_clips: u64,
+    transaction: &Transaction,
+    facts: &[(&str, String)],
+    tables: &mut BTreeMap<String, Vec<FileEntry>>,
+) -> Result<Accounting, Error> {
+    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
+    for part in parts {
+        part.passed_over(&mut quarantine, &mut skipped)?;
+    }
+    let files = transaction.write_shards(None, &quarantine, facts)?;
+    tables.insert(QuarantineRow::TABLE.to_owned(), files);
+    let files = transaction.write_shards(None, &skipped, facts)?;
+    tables.insert(SkippedRow::TABLE.to_owned(), files);
+    let codes = quarantine.into_iter().map(|row| row.code);
+    Ok(Accounting::of(num_clips, skipped.len() as u64, codes))
 }
 
 fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error> {
@@ -266,12 +272,9 @@ fn added<'a>(
                 part.shared.insert(id.clone());
             }
             Some(_) => {
-                let mut number = 1;
-                let new = loop {
-                    let new = match number {
-                        1 => with_label(&part.label, id.as_str()),
-                        number => with_label(&format!("{}-{number}", part.label), id.as_str()),
-                    };
+                let numbered = (2..).map(|number| format!("{}-{number}", sources.label));
+                for label in std::iter::once(sources.label.clone()).chain(numbered) {
+                    let new = with_label(&label, id.as_str());
                     let new = MotionId::parse(&new).map_err(|error| {
                         Error::refused(format!(
                             "{id} is another motion in the first dataset, and here it cannot be {new:?}: {error}; give the \
@@ -279,11 +282,10 @@ fn added<'a>(
                         ))
                     })?;
                     if taken.insert(new.clone()) {
-                        break new;
+                        part.ids.insert(id.clone(), new);
+                        break;
                     }
-                    number += 1;
-                };
-                part.ids.insert(id.clone(), new);
+                }
             }
             None => {}
         }

@@ -13,7 +13,7 @@ use features::humanml3d::{
     Features, GROUPS, Joints, RECIPE, features_of_joints, joints_of_motion, recover_joints,
 };
 use features::smpl_body;
-use formats::source::{self};
+use formats::source;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -124,11 +124,7 @@ pub fn compare(
 ) -> Result<Comparison, Error> {
     let reference = Reference::find(folder)?;
     let mut tally = Tally::new();
-    let has_features = dataset
-        .files(HumanMl3dRow::TABLE, None)
-        .iter()
-        .any(|(_, file)| file.rows > 0);
-    if has_features {
+    if dataset.manifest().rows(HumanMl3dRow::TABLE, None) > 0 {
         let own = |row: &HumanMl3dRow| (row.id.to_string(), Ok(row.features.clone()));
         compare_table(dataset, &reference, &mut tally, progress, own)?;
     } else {
@@ -341,6 +337,20 @@ impl Rule {
         }
         difference
     }
+
+    fn judge(&self, total: &Difference, worst: Vec<Worst>) -> Group {
+        Group {
+            name: self.name,
+            tolerance: self.tolerance,
+            least_agreeing: self.least_agreeing,
+            frames: total.frames,
+            agreeing: total.share_agreeing(),
+            max: total.max,
+            mean: total.sum / total.values.max(1) as f64,
+            passed: total.frames == 0 || total.share_agreeing() >= self.least_agreeing,
+            worst,
+        }
+    }
 }
 
 /// Compares positions of joints, in metres.
@@ -407,31 +417,24 @@ impl Tally {
     }
 
     fn take(&mut self, id: String, met: Option<Met>) {
-        let Some(Met {
-            frames,
-            differences,
-            problems,
-        }) = met
-        else {
+        let Some(met) = met else {
             self.only_in_dataset.take(&id);
             return;
         };
-        if differences.iter().any(Option::is_some) {
+        if met.differences.iter().any(Option::is_some) {
             self.clips += 1;
-            self.frames += frames as u64;
+            self.frames += met.frames as u64;
         }
-        for ((total, worst), difference) in self.groups.iter_mut().zip(differences) {
-            let Some(difference) = difference else {
-                continue;
-            };
-            total.merge(&difference);
-            rank(worst, &id, &difference);
+        for ((total, worst), difference) in self.groups.iter_mut().zip(met.differences) {
+            if let Some(difference) = difference {
+                total.merge(&difference);
+                rank(worst, &id, &difference);
+            }
         }
-        self.problems
-            .extend(problems.into_iter().map(|reason| Problem {
-                id: id.clone(),
-                reason,
-            }));
+        for reason in met.problems {
+            let id = id.clone();
+            self.problems.push(Problem { id, reason });
+        }
         self.met.insert(id);
     }
 
@@ -454,22 +457,6 @@ impl Tally {
             only_in_dataset: self.only_in_dataset,
             only_in_reference,
             problems: self.problems,
-        }
-    }
-}
-
-impl Rule {
-    fn judge(&self, total: &Difference, worst: Vec<Worst>) -> Group {
-        Group {
-            name: self.name,
-            tolerance: self.tolerance,
-            least_agreeing: self.least_agreeing,
-            frames: total.frames,
-            agreeing: total.share_agreeing(),
-            max: total.max,
-            mean: total.sum / total.values.max(1) as f64,
-            passed: total.frames == 0 || total.share_agreeing() >= self.least_agreeing,
-            worst,
         }
     }
 }

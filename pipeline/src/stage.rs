@@ -12,6 +12,7 @@ use datasets_spec::manifest::{REJECTED_MASKS_FACT, plan_hash};
 use datasets_spec::record::{
     EditRow, ItemRow, MaskRow, MotionRow, PairRow, QuarantineRow, ScoreRow,
 };
+use datasets_spec::rejected::RejectedMasks;
 use datasets_spec::table::{Row, ShardReader, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Skeleton, Split};
 use serde::{Deserialize, Serialize};
@@ -121,9 +122,18 @@ pub enum Judged {
     Add,
 }
 
+/// What [`Judged::Replace`] discarded; nothing otherwise.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Discarded {
+    /// Masks judged by people.
+    pub masks: usize,
+    /// Rejections by people.
+    pub rejections: usize,
+}
+
 /// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source came with masks get
 /// no automatic ones, and what people rejected is not made again, except by [`Judged::Replace`]. With a condition, the
-/// masks of other clips stay as they are.
+/// masks of other clips stay as they are. Also returns what was discarded.
 ///
 /// # Errors
 /// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
@@ -133,7 +143,8 @@ pub fn masks(
     judged: Judged,
     condition: Option<&Condition>,
     context: &Context<'_>,
-) -> Result<Dataset, Error> {
+) -> Result<(Dataset, Discarded), Error> {
+    let mut discarded = Discarded::default();
     let dataset = open_motions(root)?;
     let motions_plan = dataset.manifest().plan(MotionRow::TABLE);
     let plan = match condition {
@@ -143,17 +154,16 @@ pub fn masks(
     let is_same_plan = dataset.manifest().plan(MaskRow::TABLE) == plan;
     let chosen = match chosen(&dataset, condition) {
         // Once the stage has run, no clip fulfils a condition such as `NOT has_mask`.
-        Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok(dataset),
+        Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok((dataset, discarded)),
         chosen => chosen?,
     };
     let present: Vec<MaskRow> = dataset.read(None)?;
-    let by_people = present
-        .iter()
-        .filter(|mask| chosen.has_clip(&mask.motion_id))
-        .filter(|mask| ["human", "draft"].contains(&mask.text_origin.as_str()))
-        .count();
+    let is_of_people = |mask: &&MaskRow| {
+        chosen.has_clip(&mask.motion_id) && ["human", "draft"].contains(&mask.text_origin.as_str())
+    };
+    let by_people = present.iter().filter(is_of_people).count();
     match judged {
-        Judged::Keep if by_people > 0 => return Ok(dataset),
+        Judged::Keep if by_people > 0 => return Ok((dataset, discarded)),
         Judged::Refuse if by_people > 0 => {
             return Err(Error::refused(format!(
                 "{} holds {by_people} masks judged by people, which automatic masks would replace; pass --add to keep \
@@ -165,14 +175,12 @@ pub fn masks(
     }
     let mut lists = dataset.manifest().rejected_masks()?;
     if judged == Judged::Replace {
-        for list in lists.values_mut() {
-            list.retain(|rejected| !chosen.has_clip(&rejected.clip));
-        }
-        lists.retain(|_, list| !list.is_empty());
+        discarded.masks = by_people;
+        discarded.rejections = forget(&mut lists, &chosen);
     }
     // The plan does not tell which masks were kept, nor which clips a condition chose.
     if is_same_plan && condition.is_none() && judged != Judged::Replace {
-        return Ok(dataset);
+        return Ok((dataset, discarded));
     }
     let num_clips = dataset.manifest().rows(MotionRow::TABLE, None);
     context.progress.begin("masks", Some(num_clips));
@@ -182,37 +190,41 @@ pub fn masks(
         let (motions, activities) = measured(&dataset, &skeleton, config, context)?;
         masks::masks_from(&motions, &activities, config)?
     };
-    let mut rows: Vec<MaskRow> = present
-        .iter()
-        .filter(|mask| {
-            // Texts of parts are imported too, into masks that this stage derives.
-            let is_of_source = mask.text_origin == masks::IMPORTED && mask.author != masks::AUTHOR;
-            let stays = judged == Judged::Add || is_of_source;
-            stays || !chosen.has_clip(&mask.motion_id)
-        })
-        .cloned()
-        .collect();
+    // Texts of parts are imported too, into masks that this stage derives.
+    let is_of_source =
+        |mask: &MaskRow| mask.text_origin == masks::IMPORTED && mask.author != masks::AUTHOR;
+    let stays = |mask: &&MaskRow| {
+        judged == Judged::Add || is_of_source(mask) || !chosen.has_clip(&mask.motion_id)
+    };
+    let mut rows: Vec<MaskRow> = present.iter().filter(stays).cloned().collect();
     let rejections = dataset.rejections(&lists)?;
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
-    rows.extend(
-        automatic
-            .into_iter()
-            .filter(|mask| chosen.has_clip(&mask.motion_id))
-            .filter(|mask| !masked.contains(&mask.motion_id))
-            .filter(|mask| !rejections.has(mask)),
-    );
-    context
-        .progress
-        .finish(&format!("{} masks on {num_clips} clips", rows.len()));
+    let is_free = |id: &MotionId| chosen.has_clip(id) && !masked.contains(id);
+    let is_new = |mask: &MaskRow| is_free(&mask.motion_id) && !rejections.has(mask);
+    rows.extend(automatic.into_iter().filter(is_new));
+    let done = format!("{} masks on {num_clips} clips", rows.len());
+    context.progress.finish(&done);
     let mut facts = BTreeMap::new();
     if lists != dataset.manifest().rejected_masks()? {
         facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&lists));
     }
     let is_same = are_same_rows([&rows, &present], |row| row.id.as_str());
     if is_same_plan && is_same && facts.is_empty() {
-        return Ok(dataset);
+        return Ok((dataset, discarded));
     }
-    commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)
+    let dataset = commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)?;
+    Ok((dataset, discarded))
+}
+
+/// Removes the rejections of chosen clips, and returns their number.
+fn forget(lists: &mut RejectedMasks, chosen: &Dataset) -> usize {
+    let count = |lists: &RejectedMasks| lists.values().map(BTreeSet::len).sum::<usize>();
+    let before = count(lists);
+    for list in lists.values_mut() {
+        list.retain(|rejected| !chosen.has_clip(&rejected.clip));
+    }
+    lists.retain(|_, list| !list.is_empty());
+    before - count(lists)
 }
 
 /// Commits the rows of a table, and facts. A table that the same plan made is written again.
@@ -415,12 +427,7 @@ pub fn items(
     context: &Context<'_>,
 ) -> Result<ItemsFolder, Error> {
     let content = dataset.content_hash(&COMPOSED);
-    // Version 0.2 took the novelty of items of chosen clips from these clips alone.
-    let stage = match dataset.condition() {
-        Some(_) => "items-2",
-        None => "items",
-    };
-    let plan = plan_hash(stage, &(content, split, config, seed));
+    let plan = plan_hash("items", &(content, split, config, seed));
     let own = [
         ItemRow::TABLE,
         EditRow::TABLE,

@@ -35,7 +35,7 @@ enum Fate {
 }
 
 /// A disk that fails at one operation.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Doomed {
     count: Arc<AtomicUsize>,
     at: usize,
@@ -54,45 +54,37 @@ impl Doomed {
     }
 
     fn step(&self) -> io::Result<()> {
-        step(&self.count, self.at, self.fate)
-    }
-}
-
-fn step_fails(kind: io::ErrorKind) -> io::Result<()> {
-    Err(io::Error::new(kind, "the test lets this operation fail"))
-}
-
-fn step(count: &AtomicUsize, at: usize, fate: Fate) -> io::Result<()> {
-    if count.fetch_add(1, Ordering::SeqCst) != at {
-        return Ok(());
-    }
-    match fate {
-        Fate::Fail(kind) => step_fails(kind),
-        Fate::WriteHalf => step_fails(io::ErrorKind::StorageFull),
-        Fate::Kill => {
-            let killed = Command::new("kill")
-                .args(["-9", &std::process::id().to_string()])
-                .status();
-            unreachable!("the process outlived its own SIGKILL: {killed:?}")
+        if self.count.fetch_add(1, Ordering::SeqCst) != self.at {
+            return Ok(());
         }
+        let kind = match self.fate {
+            Fate::Fail(kind) => kind,
+            Fate::WriteHalf => io::ErrorKind::StorageFull,
+            Fate::Kill => {
+                let killed = Command::new("kill")
+                    .args(["-9", &std::process::id().to_string()])
+                    .status();
+                unreachable!("the process outlived its own SIGKILL: {killed:?}")
+            }
+        };
+        Err(io::Error::new(kind, "the test lets this operation fail"))
     }
 }
 
 struct DoomedFile {
     file: Box<dyn NewFile>,
-    count: Arc<AtomicUsize>,
-    at: usize,
-    fate: Fate,
+    disk: Doomed,
 }
 
 impl Write for DoomedFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let now = self.count.load(Ordering::SeqCst);
-        if self.fate == Fate::WriteHalf && now == self.at && bytes.len() > 1 {
+        let Doomed { count, at, fate } = &self.disk;
+        let is_now = count.load(Ordering::SeqCst) == *at;
+        if *fate == Fate::WriteHalf && is_now && bytes.len() > 1 {
             // The operation is not counted, so that the write of the remaining bytes fails.
             return self.file.write(&bytes[..bytes.len() / 2]);
         }
-        step(&self.count, self.at, self.fate)?;
+        self.disk.step()?;
         self.file.write(bytes)
     }
 
@@ -104,15 +96,15 @@ impl Write for DoomedFile {
 impl NewFile for DoomedFile {
     /// Fails before or after the file appears; after it, as if only the answer of the storage were lost.
     fn publish(self: Box<Self>) -> io::Result<()> {
-        step(&self.count, self.at, self.fate)?;
+        self.disk.step()?;
         self.file.publish()?;
-        step(&self.count, self.at, self.fate)
+        self.disk.step()
     }
 
     fn publish_new(self: Box<Self>) -> io::Result<()> {
-        step(&self.count, self.at, self.fate)?;
+        self.disk.step()?;
         self.file.publish_new()?;
-        step(&self.count, self.at, self.fate)
+        self.disk.step()
     }
 }
 
@@ -126,9 +118,7 @@ impl Store for Doomed {
         self.step()?;
         Ok(Box::new(DoomedFile {
             file: Disk.create(path)?,
-            count: Arc::clone(&self.count),
-            at: self.at,
-            fate: self.fate,
+            disk: self.clone(),
         }))
     }
 
@@ -218,25 +208,18 @@ fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
     let root = dataset.root();
     let named = dataset.manifest().tables.values().flatten();
     let named: Vec<PathBuf> = named.map(|file| root.join(&file.path)).collect();
-    let mut found = Vec::new();
-    let mut folders = vec![root.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for (path, is_dir) in Disk.list(&folder).expect("listed") {
-            let name = path.strip_prefix(root).expect("below the root");
-            let of_the_format = name.starts_with("README.md")
-                || name.starts_with("croissant.json")
-                || name.starts_with("meta/LOCK")
-                || [".stance/sources.json", ".stance/.gitignore"]
-                    .map(Path::new)
-                    .contains(&name)
-                || name.to_string_lossy().starts_with("meta/manifest-");
-            if is_dir {
-                folders.push(path);
-            } else if !of_the_format && !named.contains(&path) {
-                found.push(path);
-            }
-        }
-    }
+    let mut found = Disk.files_below(root).expect("listed");
+    found.retain(|path| {
+        let name = path.strip_prefix(root).expect("below the root");
+        let of_the_format = name.starts_with("README.md")
+            || name.starts_with("croissant.json")
+            || name.starts_with("meta/LOCK")
+            || [".stance/sources.json", ".stance/.gitignore"]
+                .map(Path::new)
+                .contains(&name)
+            || name.to_string_lossy().starts_with("meta/manifest-");
+        !of_the_format && !named.contains(path)
+    });
     found
 }
 
@@ -356,14 +339,10 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
 
 /// Copies a folder with everything below it.
 fn copied(from: &Path, to: &Path) {
-    for (path, is_dir) in Disk.list(from).expect("listed") {
-        let target = to.join(path.file_name().expect("a name"));
-        if is_dir {
-            copied(&path, &target);
-        } else {
-            std::fs::create_dir_all(to).expect("made");
-            std::fs::copy(&path, &target).expect("copied");
-        }
+    for path in Disk.files_below(from).expect("listed") {
+        let target = to.join(path.strip_prefix(from).expect("below the folder"));
+        std::fs::create_dir_all(target.parent().expect("a folder")).expect("made");
+        std::fs::copy(&path, &target).expect("copied");
     }
 }
 

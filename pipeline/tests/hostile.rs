@@ -1,6 +1,5 @@
 //! Broken and hostile files, each with the outcome it must have. Every fixture is made here.
 
-use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
 use corpus::{CorpusOptions, clip};
@@ -9,6 +8,7 @@ use datasets_spec::{Dataset, NoProgress, Skeleton};
 use formats::write;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use serde_json::{Value, json};
+use testkit::{npy_f8, npz};
 
 /// Name and content of a file, and its outcome: [`INGESTED`], [`SKIPPED`], or the code of its row in the quarantine
 /// table.
@@ -29,37 +29,22 @@ fn good_bvh() -> String {
     write::bvh::encode(&motion, &Skeleton::smplx_neutral())
 }
 
-fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
-    let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    for (name, bytes) in members {
-        out.start_file(*name, zip::write::SimpleFileOptions::default())
-            .expect("starts");
-        out.write_all(bytes).expect("writes");
-    }
-    out.finish().expect("finishes").into_inner()
-}
-
 /// An npy file with any header and any content.
 fn npy(descr: &str, shape: &str, content: &[u8]) -> Vec<u8> {
     let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
     testkit::npy(&header, content)
 }
 
-fn f64s(values: impl IntoIterator<Item = f64>) -> Vec<u8> {
-    values.into_iter().flat_map(f64::to_le_bytes).collect()
-}
-
 /// An AMASS archive of `frames` frames at 60 fps whose translation is made by `trans`.
 fn amass(frames: usize, trans: impl Fn(usize) -> [f64; 3]) -> Vec<u8> {
-    let poses = f64s((0..frames * 156).map(|index| 0.1 * ((index / 156) as f64 * 0.02).sin()));
-    let trans = f64s((0..frames).flat_map(trans));
-    let poses = npy("<f8", &format!("({frames}, 156)"), &poses);
-    let trans = npy("<f8", &format!("({frames}, 3)"), &trans);
-    archive(&[
-        ("poses.npy", &poses),
-        ("trans.npy", &trans),
-        ("mocap_framerate.npy", &npy("<f8", "()", &f64s([60.0]))),
-        ("gender.npy", &npy("|S6", "()", b"female")),
+    let poses = (0..frames * 156).map(|index| 0.1 * ((index / 156) as f64 * 0.02).sin());
+    let poses: Vec<f64> = poses.collect();
+    let trans: Vec<f64> = (0..frames).flat_map(trans).collect();
+    npz(&[
+        ("poses", npy_f8(&[frames, 156], &poses)),
+        ("trans", npy_f8(&[frames, 3], &trans)),
+        ("mocap_framerate", npy_f8(&[], &[60.0])),
+        ("gender", npy("|S6", "()", b"female")),
     ])
 }
 
@@ -85,17 +70,13 @@ fn npz_cases(canary: &Path) -> Vec<Case> {
     let standing = |frame: usize| [0.0, 0.0, 0.9 + 0.001 * frame as f64];
     let infinite = |frame: usize| [if frame == 7 { f64::INFINITY } else { 0.0 }, 0.0, 0.9];
     let jumping = |frame: usize| [if frame > 30 { 9.0 } else { 0.0 }, 0.0, 0.9];
-    let both = |array: &[u8]| archive(&[("poses.npy", array), ("trans.npy", array)]);
+    let both = |array: Vec<u8>| npz(&[("poses", array.clone()), ("trans", array)]);
     let pickled = npy("|O", "(1,)", &canary_pickle(canary));
     let lying = npy("<f8", "(1099511627776, 156)", &[0; 100]);
     let bomb = npy("<f8", "(2000000, 3)", &vec![0; 48_000_000]);
-    let named = |name: &str| archive(&[(name, &npy("<f8", "(2, 3)", &[0; 48]))]);
-    let case = archive(&[
-        ("poses.npy", b"1"),
-        ("Poses.npy", b"2"),
-        ("trans.npy", b"3"),
-    ]);
-    let betas = archive(&[("betas.npy", &npy("<f8", "(16,)", &[0; 128]))]);
+    let named = |name: &str| npz(&[(name, npy_f8(&[2, 3], &[0.0; 6]))]);
+    let case = ["poses", "Poses", "trans"].map(|name| (name, b"1".to_vec()));
+    let betas = npz(&[("betas", npy_f8(&[16], &[0.0; 16]))]);
     vec![
         ("good.npz", good.clone(), INGESTED),
         ("good_amass.npz", amass(60, standing), INGESTED),
@@ -103,24 +84,20 @@ fn npz_cases(canary: &Path) -> Vec<Case> {
         ("cut.npz", good[..central].to_vec(), "E-NPZ-TRUNCATED"),
         ("bad_crc.npz", bad_crc, "E-NPZ-TRUNCATED"),
         ("empty.npz", Vec::new(), "E-NPZ-TRUNCATED"),
-        ("object.npz", both(&pickled), "E-PICKLE-REFUSED"),
-        ("lying_shape.npz", both(&lying), "E-NPY-SHAPE"),
-        ("bomb.npz", both(&bomb), "E-NPZ-LIMIT"),
-        ("up.npz", named("../../poses.npy"), "E-ARCHIVE-PATH"),
-        ("absolute.npz", named("/etc/poses.npy"), "E-ARCHIVE-PATH"),
-        ("drive.npz", named("C:\\poses.npy"), "E-ARCHIVE-PATH"),
-        ("case.npz", case, "E-ARCHIVE-PATH"),
+        ("object.npz", both(pickled), "E-PICKLE-REFUSED"),
+        ("lying_shape.npz", both(lying), "E-NPY-SHAPE"),
+        ("bomb.npz", both(bomb), "E-NPZ-LIMIT"),
+        ("up.npz", named("../../poses"), "E-ARCHIVE-PATH"),
+        ("absolute.npz", named("/etc/poses"), "E-ARCHIVE-PATH"),
+        ("drive.npz", named("C:\\poses"), "E-ARCHIVE-PATH"),
+        ("case.npz", npz(&case), "E-ARCHIVE-PATH"),
         ("one_frame.npz", amass(1, standing), "E-TOO-SHORT"),
         ("no_frame.npz", amass(0, standing), "E-TOO-SHORT"),
         ("infinite.npz", amass(60, infinite), "E-NOT-FINITE"),
         ("teleport.npz", amass(60, jumping), "E-TELEPORT"),
         ("shape.npz", betas.clone(), SKIPPED),
         ("betas_only.npz", betas, SKIPPED),
-        (
-            "neutral_stagei.npz",
-            archive(&[("betas.npy", b"")]),
-            SKIPPED,
-        ),
+        ("neutral_stagei.npz", npz(&[("betas", Vec::new())]), SKIPPED),
     ]
 }
 

@@ -106,8 +106,10 @@ fn summary(done: &Merged) -> String {
     for (from, to) in &done.renamed {
         text += &format!("  {from} is {to}\n");
     }
-    for (from, to) in &done.renamed_labels {
-        text += &format!("  label {from} is {to}\n");
+    for (table, renamed) in &done.renamed_labels {
+        for (from, to) in renamed {
+            text += &format!("  {from} of {table} is {to}\n");
+        }
     }
     for (id, split) in &done.moved {
         text += &format!("  {id} is in {split}\n");

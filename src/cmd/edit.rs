@@ -205,12 +205,8 @@ impl Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     args.device.choose()?;
-    let read: Vec<&Path> = args
-        .motion
-        .iter()
-        .map(Path::new)
-        .chain(args.history.as_deref())
-        .collect();
+    let motion = args.motion.iter().map(Path::new);
+    let read: Vec<&Path> = motion.chain(args.history.as_deref()).collect();
     for out in &args.out {
         local::check_not_read(out, &read)?;
     }
@@ -248,20 +244,23 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
         "times": made.times,
     });
     global.say(&document, &format!("{rows} rows in {}", out.display()))?;
+    Ok(profile(args, made.times.as_ref(), global))
+}
+
+/// With --profile, prints the times of the steps, in the columns of the paper's Table A4; there are none of edits that
+/// were there already.
+fn profile(args: &Args, times: Option<&EditTimes>, global: &Global) -> Exit {
     if args.profile && !global.json {
-        report::text(&match &made.times {
-            Some(times) => profile(times),
+        report::text(&match times {
+            Some(times) => {
+                let name = format!("mean of {}", times.num_windows);
+                let grids = eval::times::tables(&[(name, per_window(times, described()))]);
+                grids.iter().map(Grid::text).collect::<String>()
+            }
             None => "the edits were there already; edit into another folder to time it".to_owned(),
         });
     }
-    Ok(Exit::Done)
-}
-
-/// Times of the steps, in the columns of the paper's Table A4.
-fn profile(times: &EditTimes) -> String {
-    let name = format!("mean of {}", times.num_windows);
-    let grids = eval::times::tables(&[(name, per_window(times, described()))]);
-    grids.iter().map(Grid::text).collect()
+    Exit::Done
 }
 
 /// The instructions as layers: each layer edits the result of the one before.
@@ -280,10 +279,14 @@ fn texts<'a>(instructions: impl IntoIterator<Item = &'a TimedInstruction>) -> Ve
 
 /// The motion and its id: that of a clip, or of a file its content hash. So a result does not depend on how the path of a
 /// file is written.
-fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<(String, Motion)> {
-    match &args.dataset {
+fn opened(
+    dataset: Option<&Dataset>,
+    motion: &str,
+    skeleton: &Skeleton,
+) -> anyhow::Result<(String, Motion)> {
+    match dataset {
         Some(dataset) if !Path::new(motion).is_file() => {
-            let clip = stored_clip(&Dataset::open_unverified(dataset)?, motion)?;
+            let clip = stored_clip(dataset, motion)?;
             Ok((clip.id.to_string(), clip.motion()?))
         }
         _ => {
@@ -293,12 +296,14 @@ fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<(Str
     }
 }
 
-/// The skeleton of the motions: that of --dataset, or SMPL-X.
-fn skeleton(args: &Args) -> anyhow::Result<Skeleton> {
-    match &args.dataset {
-        Some(dataset) => Ok(Dataset::open_unverified(dataset)?.skeleton()?),
-        None => Ok(Skeleton::smplx_neutral()),
-    }
+/// The dataset of --dataset, and the skeleton of the motions: that of the dataset, or SMPL-X.
+fn dataset_and_skeleton(args: &Args) -> anyhow::Result<(Option<Dataset>, Skeleton)> {
+    let Some(dataset) = &args.dataset else {
+        return Ok((None, Skeleton::smplx_neutral()));
+    };
+    let dataset = Dataset::open_unverified(dataset)?;
+    let skeleton = dataset.skeleton()?;
+    Ok((Some(dataset), skeleton))
 }
 
 fn one(args: &Args, named: &str, global: &Global) -> anyhow::Result<Exit> {
@@ -308,8 +313,8 @@ fn one(args: &Args, named: &str, global: &Global) -> anyhow::Result<Exit> {
     for out in &args.out {
         crate::local::check(out).map_err(anyhow::Error::msg)?;
     }
-    let skeleton = skeleton(args)?;
-    let (id, original) = opened(args, named, &skeleton)?;
+    let (dataset, skeleton) = dataset_and_skeleton(args)?;
+    let (id, original) = opened(dataset.as_ref(), named, &skeleton)?;
     let layers = asked(args, &original);
     let texts = texts(layers.iter().flatten());
     let seed = global.seed();
@@ -362,22 +367,19 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
     let error_cm = 100.0 * edited.misfit.fit_error_m;
     let text = format!("{frames} frames at {fps}, fitted to {error_cm:.1} cm; in {out}");
     global.say(&document, &text)?;
-    if args.profile && !global.json {
-        report::text(&profile(&edited.times));
-    }
-    Ok(Exit::Done)
+    Ok(profile(args, Some(&edited.times), global))
 }
 
 /// Continues the history of one motion, or begins it.
 fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit> {
-    let skeleton = skeleton(args)?;
+    let (dataset, skeleton) = dataset_and_skeleton(args)?;
     let mut history = match (&args.motion, path.exists()) {
         (Some(_), true) => bail!(
             "{} exists already; leave --motion out to go on with it, or name another file",
             path.display()
         ),
         (Some(motion), false) => {
-            let (id, original) = opened(args, motion, &skeleton)?;
+            let (id, original) = opened(dataset.as_ref(), motion, &skeleton)?;
             EditHistory::open(id, &original, &skeleton)
         }
         (None, true) => {
@@ -421,10 +423,7 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
         session.write(&history, out)?;
     }
     session.say(&history)?;
-    if args.profile && !global.json {
-        report::text(&profile(&session.times));
-    }
-    Ok(Exit::Done)
+    Ok(profile(args, Some(&session.times), global))
 }
 
 struct Interactive<'a> {

@@ -379,29 +379,23 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
 /// kept; otherwise all tasks are.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
-    let is_of_table = |found: &Table| table.tasks().contains(&found.task.as_str());
-    let is_pooled = |found: &Table| [ALL_TASKS, RECAPTURED].contains(&found.task.as_str());
-    if tables.iter().any(is_of_table) {
-        let (kept, left): (Vec<Table>, Vec<Table>) = std::mem::take(&mut tables)
-            .into_iter()
-            .partition(|found| is_pooled(found) || is_of_table(found));
-        tables = kept;
-        if !left.is_empty() {
-            let left: Vec<String> = left
-                .iter()
-                .map(|found| format!("{} ({} items)", found.task, found.items.count))
-                .collect();
-            report::note(&format!(
-                "{} has no table for {}; {ALL_TASKS:?} is over all items",
-                table.title(),
-                left.join(", ")
-            ));
-        }
-    } else {
+    let (title, tasks) = (table.title(), table.tasks());
+    if !tables.iter().any(|found| tasks.contains(&&*found.task)) {
+        let tasks = tasks.join(" and ");
         report::note(&format!(
-            "{} is about {} edits, and there are none; these are the tasks there are",
-            table.title(),
-            table.tasks().join(" and ")
+            "{title} is about {tasks} edits, and there are none; these are the tasks there are"
+        ));
+        return tables;
+    }
+    let kept = [&tasks[..], &[ALL_TASKS, RECAPTURED]].concat();
+    let left: Vec<String> = tables
+        .extract_if(.., |found| !kept.contains(&&*found.task))
+        .map(|found| format!("{} ({} items)", found.task, found.items.count))
+        .collect();
+    if !left.is_empty() {
+        report::note(&format!(
+            "{title} has no table for {}; {ALL_TASKS:?} is over all items",
+            left.join(", ")
         ));
     }
     tables

@@ -117,6 +117,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ),
         None => "cannot draw items".to_owned(),
     })?;
+    let (drawn, too_short) = (drawn.dataset, drawn.too_short);
     let before = before.as_ref().map(Dataset::manifest);
     if let Some(before) = before.filter(|before| before.version < drawn.manifest().version) {
         report::note(&format!(
@@ -146,6 +147,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             "sources": sources,
             "instructions": instructions,
             "novelty": novelty,
+            "too_short": too_short,
             "digest": digest,
             "root_hash": drawn.manifest().root_hash,
         }),
@@ -170,16 +172,9 @@ fn export(args: &ExportArgs, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = folder.skeleton()?;
     let bars = global.bars();
     let motions = export_items(&items, &skeleton, &args.out, args.targets, &bars)?;
+    let (count, out) = (items.len(), args.out.display());
     global.say(
-        &serde_json::json!({
-            "out": args.out,
-            "items": items.len(),
-            "motions": motions,
-        }),
-        &format!(
-            "{} items ({motions} motions) in {}",
-            items.len(),
-            args.out.display()
-        ),
+        &serde_json::json!({ "out": args.out, "items": count, "motions": motions }),
+        &format!("{count} items ({motions} motions) in {out}"),
     )
 }

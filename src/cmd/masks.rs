@@ -11,7 +11,7 @@ use datasets_spec::rejected::{MaskPlace, RejectedMask};
 use datasets_spec::table::{Caption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::annotation::masks::MaskConfig;
-use pipeline::stage::{self, Judged};
+use pipeline::stage::{self, Discarded, Judged};
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
@@ -72,8 +72,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ));
         return Ok(Exit::Done);
     }
-    let dataset = match &args.accept {
-        Some(file) => accept(args, file, global)?,
+    let (dataset, discarded) = match &args.accept {
+        Some(file) => (accept(args, file, global)?, Discarded::default()),
         None => {
             let config = MaskConfig::default();
             let judged = match (args.replace, args.add) {
@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             })?
         }
     };
-    print(&dataset, global)
+    print(&dataset, discarded, global)
 }
 
 fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> {
@@ -180,7 +180,7 @@ fn num_wordless(dataset: &Dataset) -> anyhow::Result<usize> {
     Ok(count)
 }
 
-fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
+fn print(dataset: &Dataset, discarded: Discarded, global: &Global) -> anyhow::Result<Exit> {
     let mut origins: BTreeMap<String, u64> = BTreeMap::new();
     let mut parts: BTreeMap<String, u64> = BTreeMap::new();
     for row in dataset.read::<MaskRow>(None)? {
@@ -189,6 +189,12 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
     }
     let masks = dataset.manifest().rows(MaskRow::TABLE, None);
     let mut text = format!("{masks} masks\n");
+    if discarded != Discarded::default() {
+        text += &format!(
+            "{} masks judged by people and {} rejections were discarded; the version before keeps them\n",
+            discarded.masks, discarded.rejections
+        );
+    }
     let wordless = num_wordless(dataset)?;
     if wordless > 0 {
         text += &format!(
@@ -210,6 +216,7 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
     }
     let document = serde_json::json!({
         "masks": masks,
+        "discarded": discarded,
         "clips_without_words": wordless,
         "rejected": { "masks": single, "clips": clips },
         "origins": origins,

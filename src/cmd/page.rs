@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::bail;
+use datasets_spec::Skeleton;
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{BodyPart, JointSet, Skeleton};
 use eval::answers::Answered;
 use eval::best_edit::best_edit;
 use eval::draw::plot::{Bars, histogram};
@@ -14,6 +14,7 @@ use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Opening, Report, Strip};
 use eval::rows::EditFacts;
 use eval::table::Table;
+use serde_json::{Value, json};
 
 use crate::cmd::eval::{further_tables, tables};
 use crate::device::DeviceArgs;
@@ -71,7 +72,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let html = of_edits(&answered, &args.edits, tables, args.items, global)?.to_html();
     local::write(&args.out, html.as_bytes())?;
     global.say(
-        &serde_json::json!({ "out": args.out, "bytes": html.len() }),
+        &json!({ "out": args.out, "bytes": html.len() }),
         &format!("{} ({} kB)", args.out.display(), html.len() / 1000),
     )?;
     Ok(args.weak_judge.exit(unranked, Exit::Done))
@@ -93,10 +94,8 @@ pub(crate) fn of_edits(
         made.sort_by_key(|row| (row.system.clone(), row.seed));
         strips.push(strip_of(&item, &made, &answered.skeleton, &unknown)?);
     }
-    let mut systems: Vec<&str> = edits.iter().map(|row| row.system.as_str()).collect();
-    systems.sort_unstable();
-    systems.dedup();
-    let settings: Vec<(&str, serde_json::Value)> = settings_of(edits).into_iter().collect();
+    let settings: Vec<(&str, Value)> = settings_of(edits).into_iter().collect();
+    let systems: Vec<&str> = settings.iter().map(|(system, _)| *system).collect();
     Ok(Report {
         title: "Edited motions".to_owned(),
         subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
@@ -173,23 +172,17 @@ fn histograms(edits: &[EditFacts]) -> Vec<Chart> {
 }
 
 /// Settings of each system, with the hash of its weights.
-fn settings_of(edits: &[EditFacts]) -> BTreeMap<&str, serde_json::Value> {
-    let mut settings: BTreeMap<&str, serde_json::Value> = BTreeMap::new();
+fn settings_of(edits: &[EditFacts]) -> BTreeMap<&str, Value> {
+    let mut settings: BTreeMap<&str, Value> = BTreeMap::new();
     for row in edits {
-        // Settings recorded by another program need not be JSON; they are shown as text.
         settings.entry(&row.system).or_insert_with(|| {
             let mut document = match serde_json::from_str(&row.settings) {
-                Ok(serde_json::Value::Object(fields)) => fields,
-                _ => serde_json::Map::from_iter([(
-                    "settings".to_owned(),
-                    row.settings.as_str().into(),
-                )]),
+                Ok(fields @ Value::Object(_)) => fields,
+                // Settings recorded by another program need not be JSON; they are shown as text.
+                _ => json!({ "settings": row.settings }),
             };
-            document.insert(
-                "weights".to_owned(),
-                format!("{:.12}", row.checkpoint_hash).into(),
-            );
-            document.into()
+            document["weights"] = json!(format!("{:.12}", row.checkpoint_hash));
+            document
         });
     }
     settings
@@ -249,7 +242,7 @@ fn marked_strip(
     mut rows: Vec<Row>,
     unknown: &BTreeSet<String>,
 ) -> anyhow::Result<Strip> {
-    let edited = edited_joints(item)?;
+    let edited = item.edited_joints()?;
     for row in &mut rows {
         row.highlighted = edited;
     }
@@ -258,33 +251,15 @@ fn marked_strip(
         item.id, item.task, item.source_id, item.target_id
     );
     let instruction = item.instruction.to_lowercase();
-    let words: BTreeSet<&str> = instruction
-        .split(|letter: char| !letter.is_alphanumeric())
-        .filter(|word| unknown.contains(*word))
-        .collect();
+    let words = instruction.split(|letter: char| !letter.is_alphanumeric());
+    let words: BTreeSet<&str> = words.filter(|word| unknown.contains(*word)).collect();
     if !words.is_empty() {
-        let words: Vec<&str> = words.into_iter().collect();
-        note += &format!("; never seen in training: {}", words.join(", "));
+        let words = Vec::from_iter(words).join(", ");
+        note += &format!("; never seen in training: {words}");
     }
     Ok(Strip {
         caption: item.instruction.clone(),
         note,
         rows,
     })
-}
-
-/// Joints that an item asks to change: the joints that its target took from another motion, or, if nothing was blended,
-/// those of its parts; none if neither is known.
-fn edited_joints(item: &ItemRow) -> anyhow::Result<JointSet> {
-    if !item.hard_joints.is_empty() {
-        return Ok(JointSet::try_from(item.hard_joints.clone())?);
-    }
-    let mut joints = JointSet::EMPTY;
-    for part in &item.parts {
-        // Items made elsewhere may name parts that this program does not know.
-        if let Ok(part) = part.parse::<BodyPart>() {
-            joints = joints.union(part.mask().hard());
-        }
-    }
-    Ok(joints)
 }

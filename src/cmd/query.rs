@@ -38,17 +38,13 @@ pub(crate) struct Args {
     query: String,
     /// Print comma-separated values; lists and structs are JSON
     #[arg(long, conflicts_with = "out")]
-    csv: bool,
+    pub(crate) csv: bool,
     /// Write the rows to this Parquet file, which must not exist
     #[arg(long, value_name = "FILE.parquet", value_parser = local::path())]
     out: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    // Clap finds no conflict with a global option that stands before the verb.
-    if args.csv && global.json {
-        bail!("--csv and --json each print the rows in a form of their own; give one of them");
-    }
     if let Some(out) = &args.out {
         local::check_new(out)?;
     }

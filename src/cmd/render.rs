@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row as _;
-use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
+use datasets_spec::{Dataset, Motion, Skeleton};
 use eval::draw::raster;
 use eval::draw::strip::{Row, Style, sheet, strip};
 use pipeline::clips::Clips;
@@ -210,8 +210,7 @@ impl Picture {
         skeleton: &Skeleton,
     ) -> anyhow::Result<()> {
         let item = stored_item(dataset, id)?;
-        let edited = [item.hard_joints.as_slice(), &item.soft_joints].concat();
-        let edited = JointSet::try_from(edited)?;
+        let edited = item.edited_joints()?;
         let row = |label: String, motion: &Motion| Row {
             highlighted: edited,
             ..Row::new(label, motion, skeleton)

@@ -127,16 +127,8 @@ fn parse_share(text: &str) -> Result<Share, String> {
 
 #[cfg(unix)]
 fn parse_size(text: &str) -> Result<u64, String> {
-    const UNITS: [(&str, u32); 4] = [("KB", 10), ("MB", 20), ("GB", 30), ("TB", 40)];
-    let upper = text.to_uppercase();
-    let (number, shift) = UNITS
-        .iter()
-        .find_map(|(unit, shift)| Some((upper.strip_suffix(unit)?, *shift)))
-        .unwrap_or((&upper, 0));
-    let size = number.trim().parse::<u64>().ok();
-    let size = size.and_then(|number| number.checked_mul(1 << shift));
-    size.filter(|size| *size > 0)
-        .ok_or_else(|| format!("expected a size such as 4GB or 512MB, got {text:?}"))
+    let size = datasets_spec::cache::parse_bytes(text).filter(|size| *size > 0);
+    size.ok_or_else(|| format!("expected a size such as 4GB or 512MB, got {text:?}"))
 }
 
 pub(crate) fn run(args: &Args, global: &Global, itself: Itself<'_>) -> anyhow::Result<Exit> {

@@ -163,7 +163,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         compose: &args.compose.over(&TrainConfig::compose_preset(preset))?,
         windows: args.windows.as_deref(),
         text_encoder: &text_encoder(args.text_encoder.as_deref()),
-        seed: global.given_seed(),
+        seed: global.seed,
         length,
         memory: args.memory.map(|gb| (1e9 * gb) as u64),
     };

@@ -8,7 +8,7 @@ use compose::recording::{self, Kind, Settings, plan_recording};
 use compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
 use datasets_spec::{JointSet, Motion, Skeleton};
 use eval::draw::strip::{Row, Style, strip};
-use eval::metric::foot_score::foot_score;
+use eval::metric::foot_score::{feet, foot_score};
 use eval::protocol::Floor;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -134,12 +134,8 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
         .iter()
         .map(|triplet| {
             [&triplet.original, &triplet.edited].map(|motion| {
-                let feet: Vec<[_; 4]> = skeleton
-                    .points_of_frames::<12>(motion, 0..motion.len())
-                    .iter()
-                    .map(|joints| [7, 10, 8, 11].map(|foot| joints[foot]))
-                    .collect();
-                foot_score(&feet, motion.fps(), Floor::At(0.0))
+                let joints = skeleton.points_of_frames::<12>(motion, 0..motion.len());
+                foot_score(&feet(&joints), motion.fps(), Floor::At(0.0))
             })
         })
         .collect();
@@ -311,11 +307,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let out = args.out.as_deref().context("--out is missing")?;
     let settings = args.recorded(config, global);
     let table = settings.kind.table();
-    let recorded = global.stage(|context| recording::record(root, out, &settings, context))?;
+    let (recorded, too_short) =
+        global.stage(|context| recording::record(root, out, &settings, context))?;
     let manifest = recorded.manifest();
     let rows = manifest.rows(table, None);
     global.say(
-        &serde_json::json!({ table: rows, "root_hash": manifest.root_hash }),
+        &json!({ table: rows, "too_short": too_short, "root_hash": manifest.root_hash }),
         &format!("{rows} {table} in {}", out.display()),
     )
 }

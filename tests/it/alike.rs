@@ -7,7 +7,7 @@ use datasets_spec::Split;
 use serde_json::json;
 
 use crate::grown::{clips, files, ingest, motions, verified};
-use crate::util::{arg, corpus, len_of, put, stance, text_of};
+use crate::util::{Folder, arg, len_of, list_of, put, text_of};
 
 /// Checks that equal motions share a split. Returns the number of groups of equal motions outside of `train`: without
 /// the rule, some of these would be separated.
@@ -41,8 +41,8 @@ fn nudged(text: &str) -> String {
 
 #[test]
 fn equal_and_nearly_equal_motions_share_a_split_wherever_they_lie() {
-    let dir = corpus(48);
-    let at = |name: &str| dir.path().join(name);
+    let dir = Folder::of_clips(48);
+    let at = |name: &str| dir.path(name);
     let source = at("corpus");
     for kind in ["same", "longer", "nudged"] {
         let copies = at(kind);
@@ -77,24 +77,23 @@ fn equal_and_nearly_equal_motions_share_a_split_wherever_they_lie() {
             continue;
         }
         // A list that separates equal clips is obeyed, but the dataset does not pass `verify`.
+        let lists = format!("clip,split\n{kind}/*,test\ncorpus/*,train\n");
+        dir.put("splits.csv", lists);
         let (list, apart) = (at("splits.csv"), at(&format!("{kind}-apart")));
-        put(
-            &list,
-            format!("clip,split\n{kind}/*,test\ncorpus/*,train\n"),
-        );
         let parted = ingest(&[&source, &copies], &apart, &["--splits", arg(&list)], 0);
-        let ran = stance(&["verify", arg(&apart)]).expect_code(1);
+        let verify = format!("verify @{kind}-apart");
+        let ran = dir.typed(&verify).expect_code(1);
         if kind == "longer" {
             ran.expect_printed("is the same motion within 0.0 mm");
-            stance(&["verify", arg(&apart), "--accept-duplicates"]).expect_code(0);
+            dir.run(&format!("{verify} --accept-duplicates"));
             continue;
         }
-        let groups = made["alike"].as_array().expect("a list");
+        let groups = list_of(&made["alike"]);
         assert!(groups.len() > 10, "{groups:?}");
         let is_not_train = |group: &serde_json::Value| group["splits"] != json!(["train"]);
         assert!(groups.iter().any(is_not_train));
-        let groups = parted["alike"].as_array().expect("a list");
-        assert!(groups.iter().any(|group| len_of(&group["splits"]) > 1));
+        let mut groups = list_of(&parted["alike"]).iter();
+        assert!(groups.any(|group| len_of(&group["splits"]) > 1));
         let rows = motions(&apart);
         let mut of_copies = rows.iter().filter(|row| row.source_name == kind);
         assert!(of_copies.all(|row| row.split == Split::Test));

@@ -4,48 +4,32 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use annotate::store::{NewTask, Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
 use annotate::wire::{
     Answer, EventResults, Next, ReviewNext, ReviewQueue, Role, Settings, SettingsChange, TaskKind,
-    TaskView, User,
+    TaskState, TaskView,
 };
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::read_rows;
 use datasets_spec::{Dataset, Seed};
 use rand::RngExt;
-use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use crate::util::{
-    Ran, arg, assert_has, assert_tells, command, dataset_of, ingested, json_lines, json_of, len_of,
-    list_of, put, rows_of, stance, text_of, typed, typed_with,
+    Folder, Ran, arg, assert_has, assert_tells, command, json_lines, json_of, len_of, list_of, put,
+    rows_of, stance, text_of, typed, typed_with, word_of,
 };
-
-#[derive(Deserialize)]
-struct Listening {
-    url: String,
-    token: String,
-    metrics: Option<String>,
-}
-
-#[derive(Deserialize)]
-struct Token {
-    token: String,
-    user: User,
-}
 
 /// Starts a server and reads its first line.
 fn begun(command: &mut Command) -> (Child, String) {
-    let mut child = command
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("stance starts");
+    let child = command.stdout(Stdio::piped()).spawn();
+    let mut child = child.expect("stance starts");
     let mut line = String::new();
     let stdout = child.stdout.take().expect("a pipe");
     BufReader::new(stdout).read_line(&mut line).expect("a line");
@@ -68,13 +52,13 @@ impl Process {
     fn spawn(mut command: Command) -> Self {
         command.args(["--json", "--quiet"]).stderr(Stdio::null());
         let (child, line) = begun(&mut command);
-        let listening: Listening =
+        let listening: Value =
             serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line:?}"));
         Self {
             child,
-            url: listening.url.trim_end_matches('/').to_owned(),
-            once: listening.token,
-            metrics: listening.metrics,
+            url: word_of(&listening["url"]).trim_end_matches('/').to_owned(),
+            once: word_of(&listening["token"]).to_owned(),
+            metrics: listening["metrics"].as_str().map(str::to_owned),
         }
     }
 
@@ -106,11 +90,11 @@ pub(crate) fn from_json<T: DeserializeOwned>(document: Value) -> T {
     serde_json::from_value(document).expect("a value")
 }
 
-/// A dataset of the built-in corpus with masks.
-fn dataset(clips: usize) -> (tempfile::TempDir, PathBuf) {
-    let (dir, out) = dataset_of(clips, &[]);
-    stance(&["masks", arg(&out)]).expect_code(0);
-    (dir, out)
+/// A folder with a small built-in corpus, and its dataset `dataset` with masks.
+fn dataset(clips: usize) -> (Folder, PathBuf) {
+    let folder = Folder::of_masks(clips);
+    let dataset = folder.path("dataset");
+    (folder, dataset)
 }
 
 /// Runs `stance annotate` on a dataset.
@@ -124,7 +108,7 @@ fn import(dataset: &Path) {
 }
 
 struct Person {
-    user: User,
+    id: i64,
     token: String,
     agent: ureq::Agent,
 }
@@ -137,10 +121,10 @@ impl Person {
     /// A user of the store that the options name.
     fn of_store(options: &[&str], dataset: &Path, name: &str, role: &str) -> Self {
         let add = ["--json", "user", "add", name, "--role", role];
-        let token: Token = annotate(dataset, &[options, &add].concat()).done();
+        let added: Value = annotate(dataset, &[options, &add].concat()).done();
         Self {
-            user: token.user,
-            token: token.token,
+            id: added["user"]["id"].as_i64().expect("a number"),
+            token: word_of(&added["token"]).to_owned(),
             agent: ureq::Agent::config_builder()
                 .http_status_as_error(false)
                 .timeout_global(Some(Duration::from_secs(20)))
@@ -206,7 +190,7 @@ fn events(view: &TaskView, key: &str, answer: &Answer) -> Value {
 }
 
 /// One answer for each task and no draws; a reviewer may accept answers of their own.
-pub(crate) fn settings() -> SettingsChange {
+fn settings() -> SettingsChange {
     let now = Settings {
         blind_percent: 0,
         gold_percent: 0,
@@ -220,20 +204,32 @@ pub(crate) fn settings() -> SettingsChange {
     }
 }
 
-fn wants_one_answer(dataset: &Path) {
-    set(&dataset.join("annotate/store.sqlite"));
+/// The store of a dataset's project.
+fn store_of(dataset: &Path) -> PathBuf {
+    dataset.join("annotate/store.sqlite")
 }
 
-/// Applies the settings of these tests to a store.
-fn set(file: &Path) {
+fn wants_one_answer(dataset: &Path) {
+    opened(&store_of(dataset));
+}
+
+/// Opens a store, and applies the settings of these tests.
+pub(crate) fn opened(file: &Path) -> Arc<Store> {
     let store = open_sqlite(file).expect("a store");
     store.change_settings(1, settings(), 0).expect("settings");
+    store
+}
+
+/// Adds an annotator and a reviewer to a store.
+pub(crate) fn people(store: &Store) -> (i64, i64) {
+    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
+    (id("ann", Role::Annotator), id("eve", Role::Reviewer))
 }
 
 #[test]
 fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     // Of the six pairs that are answered, five are in the test split; the composer uses the sixth.
-    let (_dir, dataset) = dataset(24);
+    let (dir, dataset) = dataset(24);
     let ann = Person::new(&dataset, "ann", "annotator");
     let eve = Person::new(&dataset, "eve", "reviewer");
     wants_one_answer(&dataset);
@@ -249,10 +245,8 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     let me = me.body_mut().read_to_vec().expect("a body");
     let me: Value = serde_json::from_slice(&me).expect("JSON");
     assert_eq!(me["user"]["role"], "admin");
-    for (kind, answer) in [
-        (TaskKind::MaskText, masks("testing")),
-        (TaskKind::Pair, pair()),
-    ] {
+    for answer in [masks("testing"), pair()] {
+        let kind = answer.kind();
         for number in 0..6 {
             let view = ann.claim(url, kind);
             let key = format!("{kind}-{number}-key").replace('_', "-");
@@ -263,28 +257,23 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
         let next: ReviewNext = eve.post(url, "review/next", &json!({ "queue": "disagreement" }));
         let review = next.review.expect("a review");
         let decision = json!({ "idem_key": format!("review-{number}"), "task": review.task.id,
-            "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann.user.id });
+            "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann.id });
         let _: Value = eve.post(url, "reviews", &decision);
     }
     // The server keeps running while the accepted answers are written.
     let written: Value = annotate(&dataset, &["--json", "export"]).done();
     assert_eq!(written["counts"]["motions_described"], 6);
-    stance(&["verify", arg(&dataset)]).expect_code(0);
-    let masks: Value = typed("masks {} --accept /dev/null --author x --json", &[&dataset]).done();
+    dir.run("verify @dataset");
+    let masks: Value = dir.json("masks @dataset --accept /dev/null --author x");
     assert_eq!(masks["origins"]["human"], 12);
-    let triplets: Value = typed("triplets stats {} --count 64 --json", &[&dataset]).done();
+    let triplets: Value = dir.json("triplets stats @dataset --count 64");
     assert_has(&triplets.to_string(), &["testing", "fine-grained"]);
-    let out = dataset.with_file_name("triplets");
-    typed("triplets {} --out {} --count 16", &[&dataset, &out]).expect_code(0);
+    dir.run("triplets @dataset --out @triplets --count 16");
 }
 
-/// Answers the next task of a kind and accepts the answer, without a server.
-pub(crate) fn accept(
-    store: &Store,
-    (author, reviewer): (i64, i64),
-    kind: TaskKind,
-    answer: Answer,
-) {
+/// Answers the next task of the answer's kind and accepts the answer, without a server.
+pub(crate) fn accept(store: &Store, (author, reviewer): (i64, i64), answer: Answer) {
+    let kind = answer.kind();
     let claimed = store.claim(author, kind, 0, 0).expect("claims");
     let Ok((detail, _)) = claimed else {
         panic!("a task of kind {kind}")
@@ -305,6 +294,32 @@ pub(crate) fn accept(
     done.expect("accepts");
 }
 
+/// In a new project of a dataset, one person gives these answers, and another accepts them. Returns both.
+pub(crate) fn answered(dataset: &Path, answers: impl IntoIterator<Item = Answer>) -> (i64, i64) {
+    import(dataset);
+    let store = opened(&store_of(dataset));
+    let people = people(&store);
+    for answer in answers {
+        accept(&store, people, answer);
+    }
+    people
+}
+
+/// Reopens every accepted task of a dataset's project, and returns their number.
+pub(crate) fn take_back(dataset: &Path, reviewer: i64) -> usize {
+    let store = open_sqlite(&store_of(dataset)).expect("a store");
+    let tasks = (1..400).filter_map(|id| store.task_record(id).ok());
+    let accepted = tasks.filter(|task| task.state == TaskState::Accepted);
+    let accepted: Vec<i64> = accepted.map(|task| task.id).collect();
+    for task in &accepted {
+        let reopen = json!({ "idem_key": format!("reopen-{task}"), "task": task, "lease_epoch": 0,
+            "decision": "reopen", "comment": "look again" });
+        let done = store.review(reviewer, from_json(reopen), 0);
+        done.expect("reopens");
+    }
+    accepted.len()
+}
+
 /// Judges lines of the drafts of a dataset with `stance masks --accept`, after `change` has edited them.
 pub(crate) fn judge_lines(dataset: &Path, author: &str, change: impl Fn(&mut Value)) -> Ran {
     let file = dataset.with_file_name(format!("{author}.jsonl"));
@@ -321,13 +336,7 @@ pub(crate) fn judge_lines(dataset: &Path, author: &str, change: impl Fn(&mut Val
 #[test]
 fn masks_that_people_accept_outside_a_project_stay_at_its_export() {
     let (_dir, dataset) = dataset(12);
-    import(&dataset);
-    wants_one_answer(&dataset);
-    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
-    let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
-    accept(store.as_ref(), people, TaskKind::MaskText, masks("testing"));
-    drop(store);
+    answered(&dataset, [masks("testing")]);
     let export = || -> Value { annotate(&dataset, &["--json", "export"]).done() };
     assert_eq!(export()["counts"]["motions_described"], 1);
     let of_people = || -> Vec<MaskRow> {
@@ -350,11 +359,9 @@ fn masks_that_people_accept_outside_a_project_stay_at_its_export() {
     let imported: Value = annotate(&dataset, &["--json", "import"]).done();
     assert_eq!(imported["counts"]["conflicts"], 1, "{imported}");
     let exported = export();
-    assert_eq!(
-        exported["counts"]["motions_left_to_others"], 1,
-        "{exported}"
-    );
-    assert_eq!(exported["counts"]["motions_described"], 0, "{exported}");
+    let counts = &exported["counts"];
+    assert_eq!(counts["motions_left_to_others"], 1, "{exported}");
+    assert_eq!(counts["motions_described"], 0, "{exported}");
     assert_tells(&exported["messages"], &format!("{} by ben", improved[0].id));
     assert_eq!(of_people(), improved);
 
@@ -366,25 +373,18 @@ fn masks_that_people_accept_outside_a_project_stay_at_its_export() {
     })
     .expect_code(0);
     assert_eq!(of_people(), []);
-    let exported = export();
-    assert_eq!(
-        exported["counts"]["masks_rejected_by_others"],
-        described.len()
-    );
+    let counts = &export()["counts"];
+    assert_eq!(counts["masks_rejected_by_others"], described.len());
     assert_eq!(of_people(), []);
 }
 
 /// Answers some tasks of a store and accepts the answers. The reviewer accepts an answer of her own of each kind.
 fn answer_and_accept(file: &Path) {
     let store = open_sqlite(file).expect("a store");
-    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
-    let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
-    for (kind, answer) in [
-        (TaskKind::MaskText, masks("testing")),
-        (TaskKind::Pair, pair()),
-    ] {
+    let (ann, eve) = people(&store);
+    for answer in [masks("testing"), pair()] {
         for author in [eve, ann, ann, ann] {
-            accept(store.as_ref(), (author, eve), kind, answer.clone());
+            accept(&store, (author, eve), answer.clone());
         }
     }
 }
@@ -392,13 +392,13 @@ fn answer_and_accept(file: &Path) {
 #[test]
 fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     let (dir, dataset) = dataset(24);
-    let file = |name: &str| dir.path().join(name);
+    let file = |name: &str| dir.path(name);
     let run = |store: &str, words: &[&str]| -> Value {
         let store = file(store);
         typed_with("annotate {} --store {} --json", &[&dataset, &store], words).done()
     };
     for name in ["first.sqlite", "second.sqlite"] {
-        set(&file(name));
+        opened(&file(name));
     }
     let tasks = run("first.sqlite", &["import"])["counts"]["new_tasks"].clone();
     answer_and_accept(&file("first.sqlite"));
@@ -452,8 +452,8 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
         files.map(|file| json!(file.blake3)).collect()
     };
     let before = (tables("masks"), tables("pairs"));
-    stance(&["verify", arg(&dataset)]).expect_code(0);
-    stance(&["triplets", "stats", arg(&dataset), "--count", "8", "--json"]).expect_code(0);
+    dir.run("verify @dataset");
+    dir.run("triplets stats @dataset --count 8 --json");
     run("third.sqlite", &["import"]);
     run("third.sqlite", &["export"]);
     assert_eq!((tables("masks"), tables("pairs")), before);
@@ -464,19 +464,14 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     let mut described = rows_of::<MaskRow>(&dataset).into_iter();
     let gone = described.find(|row| row.text_origin == "human");
     let gone = gone.expect("a mask of a person").motion_id;
-    let condition = format!("id = '{gone}'");
-    typed_with(
-        "dataset remove {} --drop-labels",
-        &[&dataset],
-        &["--where", &condition],
-    )
-    .expect_code(0);
+    let line = format!("dataset remove @dataset --drop-labels --where \"id = '{gone}'\"");
+    dir.run(&line);
     let done = run("first.sqlite", &["export"]);
     assert_eq!(done["counts"]["clips_gone"], 1, "{done}");
     assert_has(&done["messages"].to_string(), &[gone.as_str()]);
     let masks = rows_of::<MaskRow>(&dataset);
     assert!(masks.iter().all(|row| row.motion_id != gone));
-    stance(&["verify", arg(&dataset)]).expect_code(0);
+    dir.run("verify @dataset");
 }
 
 #[test]
@@ -486,50 +481,44 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
         |words: &[&str]| -> Value { typed_with("--json annotate {}", &[&dataset], words).done() };
     run(&["import"]);
     wants_one_answer(&dataset);
-    answer_and_accept(&dataset.join("annotate/store.sqlite"));
+    answer_and_accept(&store_of(&dataset));
     let listed = |words: &[&str]| len_of(&run(words));
     assert_eq!(listed(&["changed"]), 0);
     // Every clip keeps its id and gets other frames.
-    let anew = ["--fps", "30", "--new-version", "--drop-labels"];
-    ingested(&dir.path().join("corpus"), &dataset, &anew);
+    dir.run("ingest @corpus --out @dataset --fps 30 --new-version --drop-labels");
     drop(Process::start(&dataset, "127.0.0.1:0"));
     assert_eq!(listed(&["changed"]), 8);
-    let folder = dir.path().join("files");
+    let folder = dir.path("files");
     let exported = run(&["export", "--format", "csv", "--to", arg(&folder)]);
     assert_eq!(exported["counts"]["accepted_before_clip_changed"], 8);
     assert_eq!(listed(&["changed", "--keep"]), 8);
     assert_eq!(listed(&["changed"]), 0);
     run(&["export"]);
-    stance(&["verify", arg(&dataset)]).expect_code(0);
-    let count = ["--count", "8", "--json"];
-    typed_with("triplets stats {}", &[&dataset], &count).expect_code(0);
+    dir.run("verify @dataset");
+    dir.run("triplets stats @dataset --count 8 --json");
     assert_eq!(run(&["check"])["findings"], json!([]));
 }
 
 #[test]
 fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
     let (dir, dataset) = dataset(2);
-    let data = arg(&dataset);
-    let folder = dataset.join("annotate").join("backups");
-    let mut command = command(&["annotate", data, "--listen", "127.0.0.1:0"]);
-    command.args(["--backup-hours", "1", "--backups", "1"]);
+    let folder = dataset.join("annotate/backups");
+    let line = "annotate @dataset --listen 127.0.0.1:0 --backup-hours 1 --backups 1";
     // The first backup is made before the server prints its address.
-    drop(Process::spawn(command));
+    drop(Process::spawn(dir.command(line)));
     let copies = |folder: &Path| -> Vec<PathBuf> {
         let entries = std::fs::read_dir(folder).expect("a folder");
-        entries
-            .map(|entry| entry.expect("an entry").path())
-            .collect()
+        let paths = entries.map(|entry| entry.expect("an entry").path());
+        paths.collect()
     };
     let made = copies(&folder);
     assert_eq!(made.len(), 1);
     let copy = open_sqlite(&made[0]).expect("a store");
     assert!(!copy.all_motions().expect("motions").is_empty());
-    let other = dir.path().join("copies");
-    put(other.join("store-20200101T000000Z.sqlite"), "");
-    let made: Value = typed("annotate {} --json backup {} --keep 1", &[&data, &other]).done();
+    dir.put("copies/store-20200101T000000Z.sqlite", "");
+    let made: Value = dir.json("annotate @dataset backup @copies --keep 1");
     let expected = PathBuf::from(made["backup"].as_str().expect("a path"));
-    assert_eq!(copies(&other), [expected]);
+    assert_eq!(copies(&dir.path("copies")), [expected]);
 }
 
 #[test]
@@ -644,7 +633,7 @@ fn the_store_can_be_named_where_others_do_not_see_it() {
     };
     run(Some(arg(&file)), &["user", "add", "ann"]).expect_code(0);
     assert!(file.is_file());
-    assert!(!dataset.join("annotate/store.sqlite").exists());
+    assert!(!store_of(&dataset).exists());
     // No server listens at this address. The password must not be in any message.
     let address = "postgres://ann:secret@127.0.0.1:1/stance";
     for (store, args, is_warned) in [
@@ -781,12 +770,12 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
     const CLIENTS: usize = 20;
     const TASKS: usize = 20_000;
     let (_dir, dataset) = dataset(4);
-    let people: Vec<Person> = (0..CLIENTS)
-        .map(|number| Person::new(&dataset, &format!("worker{number}"), "annotator"))
-        .collect();
+    let name = |number: usize| format!("worker{number}");
+    let people = (0..CLIENTS).map(|number| Person::new(&dataset, &name(number), "annotator"));
+    let people: Vec<Person> = people.collect();
     wants_one_answer(&dataset);
     import(&dataset);
-    let file = dataset.join("annotate").join("store.sqlite");
+    let file = store_of(&dataset);
     {
         let store = open_sqlite(&file).expect("a store");
         let hash = store.all_motions().expect("motions")[0].hash.clone();
@@ -797,22 +786,22 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
     let url = server.url.clone();
     let address = url.trim_start_matches("http://").to_owned();
     let stop = AtomicBool::new(false);
-    let acknowledged: Mutex<Vec<Acknowledged>> = Mutex::new(Vec::new());
-    let count = AtomicUsize::new(0);
+    let acknowledged: Mutex<Vec<Acknowledged>> = Mutex::default();
+    let count = || acknowledged.lock().expect("no panic").len();
     let mut rng = Seed(3).rng(&["kills"]);
     // `ANNOTATE_KILLS=50` runs the full form of the test.
     let kills = std::env::var("ANNOTATE_KILLS").ok();
     let kills = kills.and_then(|text| text.parse().ok()).unwrap_or(4_usize);
     let mut restarts = Vec::new();
     std::thread::scope(|scope| {
-        let (url, stop, acknowledged, count) = (&url, &stop, &acknowledged, &count);
+        let (url, stop, acknowledged) = (&url, &stop, &acknowledged);
         for person in &people {
-            scope.spawn(move || work(person, url, stop, acknowledged, count));
+            scope.spawn(move || work(person, url, stop, acknowledged));
         }
         for _ in 0..kills {
-            let wanted = count.load(Ordering::SeqCst) + rng.random_range(5..60);
+            let wanted = count() + rng.random_range(5..60);
             let deadline = Instant::now() + Duration::from_secs(120);
-            while count.load(Ordering::SeqCst) < wanted {
+            while count() < wanted {
                 assert!(Instant::now() < deadline, "the server does not answer");
                 std::thread::yield_now();
             }
@@ -835,13 +824,11 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
     }
     let acknowledged = acknowledged.into_inner().expect("no panic");
     for (seq, task, actor) in &acknowledged {
-        let entry = log
-            .get(seq)
-            .unwrap_or_else(|| panic!("entry {seq} was acknowledged and is lost"));
-        assert_eq!(
-            (entry.kind.as_str(), entry.task, entry.actor),
-            ("submitted", Some(*task), Some(*actor))
-        );
+        let Some(entry) = log.get(seq) else {
+            panic!("entry {seq} was acknowledged and is lost");
+        };
+        assert_eq!(entry.kind, "submitted");
+        assert_eq!([entry.task, entry.actor], [Some(*task), Some(*actor)]);
     }
     let mut answered = BTreeSet::new();
     for entry in log.values().filter(|entry| entry.kind == "submitted") {
@@ -860,13 +847,7 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
 }
 
 /// Claims and answers tasks until told to stop. Repeats a request with the same key if the server is down.
-fn work(
-    person: &Person,
-    url: &str,
-    stop: &AtomicBool,
-    acknowledged: &Mutex<Vec<Acknowledged>>,
-    count: &AtomicUsize,
-) {
+fn work(person: &Person, url: &str, stop: &AtomicBool, acknowledged: &Mutex<Vec<Acknowledged>>) {
     let again = |path: &str, body: &Value| -> Option<Vec<u8>> {
         while !stop.load(Ordering::SeqCst) {
             match person.ask(url, path, body) {
@@ -885,7 +866,7 @@ fn work(
         };
         let next: Next = serde_json::from_slice(&bytes).expect("JSON");
         let view = next.task.expect("there are tasks enough");
-        let key = format!("worker-{}-{number}", person.user.id);
+        let key = format!("worker-{}-{number}", person.id);
         let path = format!("tasks/{}/events", view.task.id);
         let Some(bytes) = again(&path, &events(&view, &key, &masks("testing"))) else {
             return;
@@ -894,23 +875,22 @@ fn work(
         let result = &results.results[0];
         assert_eq!(result.status, 200, "{:?}", result.problem);
         let seq = result.seq.expect("a place");
-        acknowledged
-            .lock()
-            .expect("no panic")
-            .push((seq, view.task.id, person.user.id));
-        count.fetch_add(1, Ordering::SeqCst);
+        let mut acknowledged = acknowledged.lock().expect("no panic");
+        acknowledged.push((seq, view.task.id, person.id));
     }
+}
+
+/// The address of a PostgreSQL server. If it is not set, returns `None` and prints that the test is skipped.
+#[cfg(feature = "postgres")]
+fn postgres(test: &str) -> Option<String> {
+    let skipped = format!("{test}: needs ANNOTATE_TEST_PG");
+    crate::util::needed("ANNOTATE_TEST_PG", &skipped)
 }
 
 #[cfg(feature = "postgres")]
 #[test]
 fn commands_that_read_a_store_on_postgresql_create_none() {
-    use std::io::Write;
-    let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
-        let _said = writeln!(
-            std::io::stderr().lock(),
-            "SKIPPED commands that read a store: needs ANNOTATE_TEST_PG"
-        );
+    let Some(url) = postgres("commands that read a store") else {
         return;
     };
     let (_dir, dataset) = dataset(2);
@@ -935,12 +915,7 @@ fn commands_that_read_a_store_on_postgresql_create_none() {
 #[cfg(feature = "postgres")]
 #[test]
 fn two_servers_of_one_store_give_nothing_twice() {
-    use std::io::Write;
-    let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
-        let _said = writeln!(
-            std::io::stderr().lock(),
-            "SKIPPED two servers of one store: needs ANNOTATE_TEST_PG"
-        );
+    let Some(url) = postgres("two servers of one store") else {
         return;
     };
     let load = std::env::var("ANNOTATE_PG_LOAD");
@@ -953,7 +928,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
     let (_dir, dataset) = dataset(4);
     let place = ["--store", url.as_str()];
     annotate(&dataset, &[&place[..], &["import"]].concat()).expect_code(0);
-    let store = annotate::store::open_postgres(&url, "annotate").expect("a store");
+    let store = annotate::store::open_postgres(&url, "annotate", true).expect("a store");
     store.change_settings(1, settings(), 0).expect("settings");
     let hash = store.all_motions().expect("motions")[0].hash.clone();
     let run = std::process::id();
@@ -1000,14 +975,14 @@ fn two_servers_of_one_store_give_nothing_twice() {
 #[test]
 fn styles_go_into_another_project_as_they_come_out() {
     let (dir, dataset) = dataset(2);
-    let other = dir.path().join("other.sqlite");
+    let other = dir.path("other.sqlite");
     let stores: [&[&str]; 2] = [&[], &["--store", arg(&other)]];
     let styles =
         |store: &[&str], words: &[&str]| annotate(&dataset, &[store, &["styles"], words].concat());
     for store in stores {
         Person::of_store(store, &dataset, "root", "admin");
     }
-    let file = dir.path().join("styles.toml");
+    let file = dir.path("styles.toml");
     let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\
                 guideline = \"\"\"Bend the knees.\n\nDo not limp.\"\"\"\n\n\
                 [[style]]\nname = \"limping\"\n";
@@ -1038,7 +1013,7 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
     let (dir, dataset) = dataset(24);
     Person::new(&dataset, "root", "admin");
     import(&dataset);
-    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    dir.run("pairs @dataset");
     let pairs: Vec<PairRow> = rows_of(&dataset);
     let first = pairs.iter().find(|pair| pair.kind == "style");
     let first = first.expect("the corpus has style pairs");
@@ -1049,7 +1024,7 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
     let styled = pairs.iter().filter(|pair| pair.kind == "style").count();
 
     let captures = |words: &[&str]| annotate(&dataset, &[&["captures"], words].concat());
-    let file = dir.path().join("plan.csv");
+    let file = dir.path("plan.csv");
     let plan = format!(
         "motion,style,takes\n{motion},{style},{}\nnot-yet,{style},1\n",
         alike + 1
@@ -1072,7 +1047,7 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
     assert_eq!(listed["cells"][0]["arrived"], alike);
     assert_eq!(listed["unplanned"], styled - alike);
 
-    let sheet = dir.path().join("sheet.html");
-    captures(&["--sheet", arg(&sheet)]).expect_code(0);
-    assert_has(&text_of(&sheet), &["<strong>not-yet</strong>, 1 take"]);
+    dir.run("annotate @dataset captures --sheet @sheet.html");
+    let sheet = dir.text("sheet.html");
+    assert_has(&sheet, &["<strong>not-yet</strong>, 1 take"]);
 }

@@ -4,18 +4,20 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{Cursor, Write};
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::MotionId;
-use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow};
+use datasets_spec::record::{MotionRow, QuarantineRow};
 use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::grown::judge;
+use crate::grown::{judge, masks};
+use crate::published::POINTER;
 use crate::util::{
-    self, Ran, arg, assert_counted, assert_has, assert_quarantined, command, corpus, everything,
-    files_with_extension, rows_of, skipped_of, typed,
+    Folder, Ran, arg, assert_counted, assert_has, assert_quarantined, assert_tells, everything,
+    files_with_extension, json_of, len_of, name_of, put, skipped_of, unpack,
 };
 
 /// Files by their names.
@@ -29,9 +31,10 @@ pub(crate) fn files_below(folder: &Path) -> Files {
     files.map(|(path, bytes)| (name_of(path), bytes)).collect()
 }
 
-fn zipped(files: &Files) -> Vec<u8> {
+/// A zip of members with their names, in this order.
+pub(crate) fn zipped<'a>(files: impl IntoIterator<Item = (&'a String, &'a Vec<u8>)>) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
-    for (number, (name, bytes)) in files.iter().enumerate() {
+    for (number, (name, bytes)) in files.into_iter().enumerate() {
         let method = match number % 2 {
             0 => CompressionMethod::Deflated,
             _ => CompressionMethod::Stored,
@@ -135,50 +138,56 @@ pub(crate) fn packed(name: &str, files: &Files) -> Vec<u8> {
     }
 }
 
-/// A test folder with its own folder for temporary files.
-struct Place {
-    dir: tempfile::TempDir,
+/// A folder with a small built-in corpus, and with its own folder for temporary files.
+struct Place(Folder);
+
+impl Deref for Place {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.0
+    }
 }
 
 impl Place {
-    fn new(dir: tempfile::TempDir) -> Self {
-        fs::create_dir(dir.path().join("tmp")).expect("made");
-        Self { dir }
+    fn of_clips(clips: usize) -> Self {
+        let folder = Folder::of_clips(clips);
+        fs::create_dir(folder.path("tmp")).expect("made");
+        Self(folder)
     }
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
+    /// A place with a dataset of the corpus, and the dataset as a WebDataset in the folder `shards`.
+    fn of_shards() -> Self {
+        let place = Self::of_clips(12);
+        place.ingest("corpus", "dataset", 0);
+        place.run("export @dataset --to webdataset --out @shards");
+        place
     }
 
-    fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
-        util::put(self.path(name), bytes);
-    }
-
-    /// Runs the command with the folder for temporary files.
-    fn ran(&self, args: &[&str]) -> Ran {
-        let mut command = command(args);
+    /// Runs a command line with the folder for temporary files.
+    fn ran(&self, line: &str) -> Ran {
+        let mut command = self.command(line);
         let output = command.env("TMPDIR", self.path("tmp")).output();
         output.expect("starts").into()
     }
 
-    /// Runs the command, and checks that no unpacked file remains.
-    fn run(&self, args: &[&str], code: i32) -> Ran {
-        let ran = self.ran(args);
+    /// Runs a command line that exits with this code, and checks that no unpacked file remains.
+    fn clean(&self, line: &str, code: i32) -> Ran {
+        let ran = self.ran(line);
         let left: Vec<_> = fs::read_dir(self.path("tmp")).expect("listed").collect();
         assert!(left.is_empty(), "{left:?}");
         ran.expect_code(code)
     }
 
     fn ingest(&self, source: &str, out: &str, code: i32) -> Value {
-        let (source, out) = (self.path(source), self.path(out));
-        let args = ["--json", "ingest", arg(&source), "--out", arg(&out)];
-        let done = self.run(&args, code).json();
+        let line = format!("--json ingest @{source} --out @{out}");
+        let done = self.clean(&line, code).json();
         assert_counted(&done);
         done
     }
 
     fn motions(&self, dataset: &str) -> Vec<MotionRow> {
-        rows_of(&self.path(dataset))
+        self.rows(dataset)
     }
 
     /// Content hash of every clip, by its id without the prefix.
@@ -206,7 +215,7 @@ impl Place {
 
 #[test]
 fn every_kind_of_archive_is_a_folder_of_its_name() {
-    let place = Place::new(corpus(6));
+    let place = Place::of_clips(6);
     let files = files_below(&place.path("corpus"));
     let plain = place.ingest("corpus", "plain", 0);
     let expected = place.clips("plain", "");
@@ -235,19 +244,18 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
         let alone = format!("alone-{name}");
         place.ingest(&archive, &alone, 0);
         assert_eq!(place.clips(&alone, &prefix), expected, "{name}");
-        let doctor = place.run(&["doctor", arg(&place.path(&archive))], 0);
+        let doctor = place.clean(&format!("doctor @{archive}"), 0);
         doctor.expect_printed("amass");
     }
 }
 
 #[test]
 fn releases_are_found_in_archives_by_their_layout() {
-    let place = Place::new(corpus(8));
+    let place = Place::of_clips(8);
     place.ingest("corpus", "dataset", 0);
     for layout in ["humanml3d", "stance", "webdataset", "humanml3d-272"] {
-        let (dataset, out) = (place.path("dataset"), place.path(layout));
-        typed("export {} --to {} --out {}", &[&dataset, &layout, &out]).expect_code(0);
-        let files = files_below(&out).into_iter();
+        place.run(&format!("export @dataset --to {layout} --out @{layout}"));
+        let files = files_below(&place.path(layout)).into_iter();
         let below = files.map(|(name, bytes)| (format!("Release/{name}"), bytes));
         let below: Files = below.collect();
         let plain = format!("{layout}-plain");
@@ -285,10 +293,9 @@ fn releases_are_found_in_archives_by_their_layout() {
     for is_first in [true, false] {
         let done = place.ingest("repository", "repository-dataset", 3);
         assert_eq!(done["already_complete"], !is_first, "{done}");
-        assert_has(
-            &done["remarks"].to_string(),
-            &["stay as they were", "texts.zip"],
-        );
+        for said in ["stay as they were", "texts.zip"] {
+            assert_tells(&done["remarks"], said);
+        }
         assert_eq!(captions("repository-dataset"), plain);
     }
     place.put("repository/texts.zip", &whole);
@@ -303,10 +310,8 @@ fn releases_are_found_in_archives_by_their_layout() {
 
 #[test]
 fn clips_of_a_cut_shard_are_named_and_stay() {
-    let place = Place::new(corpus(12));
-    place.ingest("corpus", "dataset", 0);
-    let (dataset, out) = (place.path("dataset"), place.path("shards"));
-    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
+    let place = Place::of_shards();
+    let out = place.path("shards");
     place.ingest("shards", "again", 0);
     let before = place.clips("again", "");
     assert_eq!(before, place.clips("dataset", ""));
@@ -323,21 +328,17 @@ fn clips_of_a_cut_shard_are_named_and_stay() {
     let key = String::from_utf8_lossy(&last.path_bytes()).replace(".json", "");
     fs::write(&shard, &whole[..end as usize]).expect("written");
     let name = arg(shard.strip_prefix(&out).expect("below it")).to_owned();
-    let (source, again, new) = (place.path("shards"), place.path("again"), place.path("new"));
-    place.run(
-        &["ingest", arg(&source), "--prune", "--out", arg(&again)],
-        3,
-    );
+    place.clean("ingest @shards --prune --out @again", 3);
     assert_eq!(place.clips("again", ""), before);
     place.ingest("shards", "new", 3);
     assert_eq!(place.clips("new", "").len(), before.len() - 1);
-    for dataset in [again, new] {
+    for dataset in ["again", "new"] {
         let clip = format!("{name}/{key}.body_pose.npy");
         let expected = [
             (&*name, "E-ARCHIVE-DAMAGED"),
             (&*clip, "E-WEBDATASET-MEMBER"),
         ];
-        let quarantine = assert_quarantined(&dataset, &expected);
+        let quarantine = assert_quarantined(&place.path(dataset), &expected);
         assert_eq!(quarantine[&name].byte_offset, Some(end));
         assert_has(&quarantine[&clip].reason, &["json is missing"]);
     }
@@ -345,60 +346,41 @@ fn clips_of_a_cut_shard_are_named_and_stay() {
 
 #[test]
 fn masks_follow_the_arrays_of_a_clip_and_not_its_labels() {
-    let place = Place::new(corpus(12));
-    place.ingest("corpus", "dataset", 0);
-    let (dataset, out) = (place.path("dataset"), place.path("shards"));
-    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
-    let clips = place.path("clips");
-    fs::create_dir(&clips).expect("made");
-    for shard in files_with_extension(&out, "tar") {
-        let bytes = fs::read(shard).expect("read");
-        tar::Archive::new(&bytes[..])
-            .unpack(&clips)
-            .expect("unpacked");
+    let place = Place::of_shards();
+    let (clips, made) = (place.path("clips"), place.path("made"));
+    for shard in files_with_extension(&place.path("shards"), "tar") {
+        unpack(&shard, &clips);
     }
-    let made = place.path("made");
     place.ingest("clips", "made", 0);
     let before = judge(&made);
-    let masks = || -> BTreeMap<String, MaskRow> {
-        let rows = rows_of::<MaskRow>(&made).into_iter();
-        rows.map(|row| (row.id.clone(), row)).collect()
-    };
 
     let (_, masked) = before.first_key_value().expect("a mask");
     let mut rows = place.motions("made").into_iter();
     let masked = rows.find(|row| row.id == masked.motion_id);
     let facts = clips.join(masked.expect("its clip").source_path);
-    let text = fs::read_to_string(&facts).expect("text");
-    let mut document: Value = serde_json::from_str(&text).expect("JSON");
+    let mut document: Value = json_of(&facts);
     document["license"] = "CC-BY-4.0".into();
-    fs::write(&facts, document.to_string()).expect("written");
+    put(&facts, document.to_string());
     let done = place.ingest("clips", "made", 0);
-    assert_eq!(
-        done["growth"]["read_again"].as_array().map(Vec::len),
-        Some(1),
-        "{done}"
-    );
-    assert_eq!(masks(), before);
+    assert_eq!(len_of(&done["growth"]["read_again"]), 1, "{done}");
+    assert_eq!(masks(&made), before);
 
     let array = facts.with_extension("body_pose.npy");
     let mut bytes = fs::read(&array).expect("read");
     // The lowest bits of the last number.
     let place_of_bits = bytes.len() - 4;
     bytes[place_of_bits] ^= 1;
-    fs::write(&array, bytes).expect("written");
-    typed("ingest {} --out {}", &[&clips, &made]).expect_refused("--drop-labels");
-    assert_eq!(masks(), before);
+    put(&array, bytes);
+    place.refused("ingest @clips --out @made", "--drop-labels");
+    assert_eq!(masks(&made), before);
 }
 
 #[test]
 fn labels_beside_a_release_are_noticed_when_they_change() {
-    let place = Place::new(corpus(12));
+    let place = Place::of_clips(12);
     place.ingest("corpus", "dataset", 0);
-    let dataset = place.path("dataset");
     for layout in ["humanml3d", "stance", "webdataset", "humanml3d-272"] {
-        let out = place.path(layout);
-        typed("export {} --to {} --out {}", &[&dataset, &layout, &out]).expect_code(0);
+        place.run(&format!("export @dataset --to {layout} --out @{layout}"));
         let grown = format!("{layout}-grown");
         place.ingest(layout, &grown, 0);
         let said = "it does so once more";
@@ -424,7 +406,7 @@ fn labels_beside_a_release_are_noticed_when_they_change() {
 
 #[test]
 fn dumps_that_are_named_like_archives_are_skipped() {
-    let place = Place::new(corpus(4));
+    let place = Place::of_clips(4);
     place.put("weights/weights.pth.tar", b"\x80\x04.");
     place.put("weights/walk.npz", place.walk());
     place.ingest("weights", "weights-dataset", 0);
@@ -505,7 +487,7 @@ fn put_hostile(place: &Place) {
 
 #[test]
 fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
-    let place = Place::new(corpus(2));
+    let place = Place::of_clips(2);
     put_hostile(&place);
     let done = place.ingest("in", "out", 3);
     let ids: BTreeSet<String> = place.clips("out", "").into_keys().collect();
@@ -558,14 +540,14 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
     let again = place.ingest("in", "out", 3);
     assert_eq!(again["already_complete"], true, "{again}");
     // `doctor` reports them before any work.
-    let doctor = place.run(&["doctor", arg(&place.path("in"))], 0);
+    let doctor = place.clean("doctor @in", 0);
     let damaged = ["cut.zip", "bomb.tar.bz2", "secret.zip/good_poses.npz"];
     assert_has(&doctor.stdout, &damaged);
 }
 
 #[test]
 fn a_tar_without_an_end_mark_is_reported_and_its_members_are_read() {
-    let place = Place::new(corpus(4));
+    let place = Place::of_clips(4);
     let whole = tarred(&place.walks(&["a_poses.npz", "b_poses.npz"]));
     // The mark is two blocks of zeros. One of them tells that no member is missing.
     let [cut, lone] = [1024, 512].map(|left_out| &whole[..whole.len() - left_out]);
@@ -588,7 +570,7 @@ fn a_tar_without_an_end_mark_is_reported_and_its_members_are_read() {
 
 #[test]
 fn clips_of_a_damaged_archive_stay_and_what_a_killed_run_unpacked_is_removed() {
-    let place = Place::new(corpus(2));
+    let place = Place::of_clips(2);
     let files = place.walks(&["walk_poses.npz"]);
     let whole = zipped(&files);
     place.put("in/walks.zip", &whole);
@@ -614,9 +596,7 @@ fn clips_of_a_damaged_archive_stay_and_what_a_killed_run_unpacked_is_removed() {
         assert_eq!(before.len(), 2);
         assert!(before.values().all(|style| style.as_deref() == Some("old")));
         place.put(&archive, &whole[..whole.len() * 2 / 3]);
-        let (source, dataset) = (place.path(&source), place.path(&out));
-        let args = ["ingest", arg(&source), "--prune", "--out", arg(&dataset)];
-        place.run(&args, 3);
+        place.clean(&format!("ingest @{source} --prune --out @{out}"), 3);
         assert_eq!(styles(), before, "{name}");
     }
     // `ingest` checks that nothing is left in the folder for temporary files.
@@ -626,14 +606,13 @@ fn clips_of_a_damaged_archive_stay_and_what_a_killed_run_unpacked_is_removed() {
     place.ingest("packed", "unpacked", 0);
     // Without disk space the error names the folder for unpacking.
     fs::remove_dir(place.path("tmp")).expect("removed");
-    let (source, out) = (place.path("packed"), place.path("other"));
-    let ran = place.ran(&["ingest", arg(&source), "--out", arg(&out)]);
+    let ran = place.ran("ingest @packed --out @other");
     ran.expect_refused("set TMPDIR");
 }
 
 #[test]
 fn many_processes_read_archives_as_one_does() {
-    let place = Place::new(corpus(12));
+    let place = Place::of_clips(12);
     let files = files_below(&place.path("corpus"));
     let (mut even, mut odd) = (Files::new(), Files::new());
     for (number, (name, bytes)) in files.into_iter().enumerate() {
@@ -643,29 +622,25 @@ fn many_processes_read_archives_as_one_does() {
     place.put("in/even.zip", zipped(&even));
     place.put("in/odd.tar", tarred(&odd));
     let one = place.ingest("in", "one", 0);
-    let (source, plan) = (place.path("in"), place.path("plan"));
-    let planned = |into: &str, plan: &Path, code: i32| {
-        let (from, into, to) = (arg(&source), place.path(into), arg(plan));
-        let plan = ["stage", "plan", "ingest", from, "--into", arg(&into)];
-        place.run(&[&plan[..], &["--out", to]].concat(), code)
+    let planned = |into: &str, code: i32| {
+        let line = format!("stage plan ingest @in --into @{into} --out @{into}-plan");
+        place.clean(&line, code)
     };
-    planned("many", &plan, 0);
-    place.run(&["stage", "work", arg(&plan)], 0);
-    let done: Value = place
-        .run(&["--json", "stage", "commit", arg(&plan)], 0)
-        .json();
+    planned("many", 0);
+    place.clean("stage work @many-plan", 0);
+    let done: Value = place.clean("--json stage commit @many-plan", 0).json();
     assert_eq!(done["root_hash"], one["root_hash"]);
     // A plan for many processes would make each process unpack this archive, so it is refused.
     let walks = packed("walks.tar.gz", &place.walks(&["walk_poses.npz"]));
     place.put("in/walks.tar.gz", walks);
-    let ran = planned("more", &place.path("another"), 1);
+    let ran = planned("more", 1);
     ran.expect_said("walks.tar.gz");
     ran.expect_said("pack it as zip");
 }
 
 #[test]
 fn unpacking_shows_how_far_it_is() {
-    let place = Place::new(corpus(2));
+    let place = Place::of_clips(2);
     // Noise, so that the archive is larger than a megabyte even when compressed.
     let mut state = 1u32;
     let mut draw = || {
@@ -676,10 +651,8 @@ fn unpacking_shows_how_far_it_is() {
     let mut files = place.walks(&["walk_poses.npz"]);
     files.insert("noise.bin".to_owned(), noise);
     for name in ["all.tar.bz2", "all.zip"] {
-        let source = format!("{name}-in");
-        place.put(&format!("{source}/{name}"), packed(name, &files));
-        let (source, out) = (place.path(&source), place.path(&format!("{name}-out")));
-        let ran = place.run(&["ingest", arg(&source), "--out", arg(&out)], 0);
+        place.put(&format!("{name}-in/{name}"), packed(name, &files));
+        let ran = place.clean(&format!("ingest @{name}-in --out @{name}-out"), 0);
         let said = ran.stderr.contains("1 archives of 1 MB");
         // Members of a zip are read in place.
         assert_eq!(said, name == "all.tar.bz2", "{}", ran.stderr);
@@ -688,69 +661,56 @@ fn unpacking_shows_how_far_it_is() {
 
 #[test]
 fn the_frame_rate_and_the_skeleton_of_a_webdataset_are_not_guessed() {
-    let place = Place::new(corpus(12));
-    place.ingest("corpus", "dataset", 0);
-    let (dataset, out) = (place.path("dataset"), place.path("shards"));
-    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
-    for shard in files_with_extension(&out, "tar") {
-        let packed = fs::File::open(shard).expect("a shard");
-        let unpacked = place.path("unpacked");
-        tar::Archive::new(packed).unpack(unpacked).expect("a tar");
+    let place = Place::of_shards();
+    let unpacked = place.path("unpacked");
+    for shard in files_with_extension(&place.path("shards"), "tar") {
+        unpack(&shard, &unpacked);
     }
-    let files = files_with_extension(&place.path("unpacked"), "json");
+    let files = files_with_extension(&unpacked, "json");
     let names = [("fps", &files[0]), ("skeleton", &files[1])].map(|(key, changed)| {
-        let mut facts: Value =
-            serde_json::from_slice(&fs::read(changed).expect("read")).expect("JSON");
+        let mut facts: Value = json_of(changed);
         let members = facts.as_object_mut().expect("an object");
         members.remove(key).expect("it is stated");
-        fs::write(changed, facts.to_string()).expect("written");
-        arg(changed.file_name().expect("a name").as_ref()).to_owned()
+        put(changed, facts.to_string());
+        name_of(changed)
     });
     place.ingest("unpacked", "again", 3);
-    let refused = names
-        .each_ref()
-        .map(|name| (name.as_str(), "E-WEBDATASET-MEMBER"));
+    let code = "E-WEBDATASET-MEMBER";
+    let refused = names.each_ref().map(|name| (name.as_str(), code));
     let quarantine = assert_quarantined(&place.path("again"), &refused);
-    assert_has(&quarantine[&names[0]].reason, &["no frame rate", "`fps`"]);
-    assert_has(
-        &quarantine[&names[1]].reason,
-        &["no skeleton", "`skeleton`"],
-    );
+    let [fps, skeleton] = names.each_ref().map(|name| &quarantine[name].reason);
+    assert_has(fps, &["no frame rate", "`fps`"]);
+    assert_has(skeleton, &["no skeleton", "`skeleton`"]);
     let clips = place.clips("dataset", "").len();
     assert_eq!(place.clips("again", "").len(), clips - 2);
 }
 
 #[test]
 fn a_dataset_whose_manifest_cannot_be_read_is_quarantined_and_loses_no_clip() {
-    let place = Place::new(corpus(12));
+    let place = Place::of_clips(12);
     place.ingest("corpus", "made", 0);
     place.ingest("made", "dataset", 0);
     let clips = place.clips("dataset", "");
     let manifest = place.path("made/meta/manifest-1.json");
     let whole = fs::read(&manifest).expect("read");
-    let pointer = format!(
-        "version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize {}\n",
-        "0".repeat(64),
-        whole.len()
-    );
     for (bytes, code) in [
         (&whole[..whole.len() / 2], "E-DATASET-FILE"),
-        (pointer.as_bytes(), "E-LFS-POINTER"),
+        (POINTER.as_bytes(), "E-LFS-POINTER"),
     ] {
-        fs::write(&manifest, bytes).expect("written");
+        put(&manifest, bytes);
         place.ingest("made", "dataset", 3);
         assert_eq!(place.clips("dataset", ""), clips);
-        let rows: Vec<QuarantineRow> = rows_of(&place.path("dataset"));
+        let rows: Vec<QuarantineRow> = place.rows("dataset");
         let refused: BTreeSet<&str> = rows.iter().map(|row| row.code.as_str()).collect();
         assert_eq!(refused, BTreeSet::from([code]));
         let of_manifest = rows.iter().filter(|row| row.path == "meta/manifest-1.json");
         assert_eq!(of_manifest.count(), 1);
         // Neither says anything of the clips.
-        let (made, dataset) = (place.path("made"), place.path("dataset"));
-        typed("ingest {} --out {} --prune", &[&made, &dataset]).expect_code(3);
+        let pruned = place.typed("ingest @made --out @dataset --prune");
+        pruned.expect_code(3);
         assert_eq!(place.clips("dataset", ""), clips);
     }
-    fs::write(&manifest, &whole).expect("written");
+    put(&manifest, &whole);
     place.ingest("made", "dataset", 0);
     assert_eq!(place.clips("dataset", ""), clips);
 }

@@ -1,12 +1,10 @@
 //! TMED, one of the systems that the method is compared with.
 
-use std::collections::BTreeSet;
-
 use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{list_of, word_of};
+use crate::util::texts_in;
 
 /// A small TMED.
 pub(crate) const SMALL_TMED: &str = "
@@ -35,8 +33,8 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let again = bench.trained("tmed", "mixed", SMALL_TMED, "--steps 4");
     assert_eq!(again["steps"], 4);
 
-    let mixed = bench.answers("mixed", "items", "with", &["--diffusion-steps", "3"]);
-    let without = bench.answers("fixed", "items", "without", &[]);
+    bench.answers("mixed", "items", "with", "--diffusion-steps 3");
+    bench.answers("fixed", "items", "without", "");
     let items: Vec<ItemRow> = bench.rows("with");
     let edits: Vec<EditRow> = bench.rows("with");
     assert_eq!(items.len(), edits.len());
@@ -47,33 +45,24 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let settings: Value = serde_json::from_str(&edits[0].settings).expect("an object");
     assert_eq!(settings["steps"], 3);
 
-    let scores = bench.scores(&[&mixed, &without], &[]);
-    let rows = list_of(&scores).iter();
-    let systems: BTreeSet<&str> = rows.map(|row| word_of(&row["system"])).collect();
+    let scores = bench.scores("@with @without", "");
+    let systems = texts_in(&scores, "system");
     for system in ["TMED", "TMED w/ MCM (steps 3)", "Identity", "Real Data"] {
-        assert!(systems.contains(system), "{system}: {systems:?}");
+        assert!(systems.contains(&system), "{system}: {systems:?}");
     }
 
     // The corpus has masks and no captured pairs.
     bench.put("captured.toml", format!("data = \"pairs\"\n{SMALL_TMED}"));
-    bench
-        .typed("train tmed @dataset --out @captured --config @captured.toml")
-        .expect_refused("composed");
-    bench
-        .typed("train tmed @dataset --out @captured --config @captured.toml --compose @pairs.toml")
-        .expect_refused("settings of the composer have no effect");
+    let train = "train tmed @dataset --out @captured --config @captured.toml";
+    bench.refused(train, "composed");
+    let composed = format!("{train} --compose @pairs.toml");
+    bench.refused(&composed, "settings of the composer have no effect");
     // TMED follows a single instruction, for some frames or for all.
-    let edit = format!(
-        "edit @mixed --motion {} --out @part.npz",
-        bench.clip().display()
-    );
+    let edit = "edit @mixed --motion @walk.bvh --out @part.npz";
     let ranges = "--during '0:10 The person is waving.' --during '10:20 The person is bowing.'";
-    bench
-        .typed(&format!("{edit} {ranges}"))
-        .expect_refused("one instruction");
+    bench.refused(&format!("{edit} {ranges}"), "one instruction");
     for range in ["0:900000", "20:5", "10:10"] {
-        bench
-            .typed(&format!("{edit} --during '{range} wave'"))
-            .expect_refused("does not fit");
+        let line = format!("{edit} --during '{range} wave'");
+        bench.refused(&line, "does not fit");
     }
 }

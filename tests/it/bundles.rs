@@ -1,7 +1,7 @@
 //! Bundles of answers: made, checked, and ranked together.
 
 use std::fs;
-use std::io::{Cursor, Read, Write};
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use datasets_spec::Split;
@@ -9,10 +9,11 @@ use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::table::{read_rows, write_rows};
 use serde_json::Value;
 
+use crate::archives;
 use crate::evaluate::Bench;
 use crate::results;
 use crate::tables::tables;
-use crate::util::{Ran, arg, assert_has, put};
+use crate::util::{Ran, assert_has, put};
 
 fn bundle(bench: &Bench, edits: &str, out: &str, more: &str) -> Ran {
     bench.typed(&format!("--json edits bundle @{edits} --out @{out} {more}"))
@@ -34,13 +35,7 @@ fn members(zip: &[u8]) -> Members {
 }
 
 fn zipped(members: &[(String, Vec<u8>)]) -> Vec<u8> {
-    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    for (name, bytes) in members {
-        let options = zip::write::SimpleFileOptions::default();
-        zip.start_file(name, options).expect("in memory");
-        zip.write_all(bytes).expect("in memory");
-    }
-    zip.finish().expect("in memory").into_inner()
+    archives::zipped(members.iter().map(|(name, bytes)| (name, bytes)))
 }
 
 /// A bundle whose answers were changed by someone who also corrected the hash.
@@ -68,7 +63,7 @@ fn forged(zip: &[u8], folder: &Path, change: impl Fn(&mut Vec<EditRow>)) -> Vec<
 #[test]
 fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
     let bench = Bench::open();
-    let edits = bench.edits("edits", &["--takes", "2"]);
+    bench.edits("edits", "--takes 2");
     let license = "--license CC-BY-4.0";
     let made: Value = bundle(&bench, "edits", "a.zip", license).done();
     assert_eq!(made["answers"], 16);
@@ -90,31 +85,25 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
     assert_eq!(facts["judge_hash"], Value::Null);
     let card = std::str::from_utf8(&members[2].1).expect("text");
     let hash = facts["item_hash"].as_str().expect("text");
-    assert_has(
-        card,
-        &["# MotionReFit", "CC-BY-4.0", hash, "\"guidance\": 1.0"],
-    );
+    let parts = ["# MotionReFit", "CC-BY-4.0", hash, "\"guidance\": 1.0"];
+    assert_has(card, &parts);
 
-    let (bundled, items) = (bench.path("a.zip"), bench.path("items"));
-    let of_folder = bench.eval(&[&edits], &["--json"]).printed();
-    let with_items = ["--json", "--items", arg(&items)];
-    let of_bundle = bench.eval(&[&bundled], &with_items).printed();
+    let of_folder = bench.eval("@edits", "--json").printed();
+    let of_bundle = bench.eval("@a.zip", "--json --items @items").printed();
     assert_eq!(of_bundle, of_folder);
     // A folder of edits holds items too.
-    let other = bench.edits("other", &["--seed", "7", "--name", "Other"]);
-    let both = bench.eval(&[&other, &bundled], &["--json"]).printed();
-    assert_has(
-        &both,
-        &["\"Other\"", "\"MotionReFit (twists of the source)\""],
-    );
-    bench.eval(&[&bundled], &[]).expect_refused("--items ITEMS");
+    bench.edits("other", "--seed 7 --name Other");
+    let both = bench.eval("@other @a.zip", "--json").printed();
+    let ours = "\"MotionReFit (twists of the source)\"";
+    assert_has(&both, &["\"Other\"", ours]);
+    bench.eval("@a.zip", "").expect_refused("--items ITEMS");
 }
 
 #[test]
 fn bundles_are_ranked_in_one_table_with_paired_differences() {
-    let bench = Bench::of_items("24");
-    for (name, more) in [("First", &[][..]), ("Second", &["--guidance", "2"])] {
-        bench.edits(name, &[&["--name", name], more].concat());
+    let bench = Bench::of_items(24);
+    for (name, more) in [("First", ""), ("Second", "--guidance 2")] {
+        bench.edits(name, &format!("--name {name} {more}"));
         let asked = "--license CC0-1.0 --encoder builtin";
         bundle(&bench, name, &format!("{name}.zip"), asked).expect_code(0);
     }
@@ -140,15 +129,10 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
     // The target's foot slide is the same in all rows: it is the real data's.
     let column =
         |at: usize| -> Vec<&str> { table.rows.iter().map(|row| row[at].as_str()).collect() };
-    assert!(
-        column(3).iter().all(|cell| *cell == column(2)[0]),
-        "{table:?}"
-    );
-    assert!(
-        table
-            .conditions
-            .contains("one gallery of all 24 (fewer than 32)")
-    );
+    let own = column(2)[0];
+    assert!(column(3).iter().all(|cell| *cell == own), "{table:?}");
+    let gallery = "one gallery of all 24 (fewer than 32)";
+    assert_has(&table.conditions, &[gallery]);
     let noted = |begins: &[&str]| {
         let notes = table.notes.iter();
         let noted = notes.filter(|note| begins.iter().any(|text| note.starts_with(text)));
@@ -165,7 +149,7 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
 #[test]
 fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     let bench = Bench::open();
-    bench.edits("edits", &[]);
+    bench.edits("edits", "");
     let license = "--license CC0-1.0";
     bundle(&bench, "edits", "none.zip", "").expect_refused("--license");
     assert!(!bench.path("none.zip").exists());
@@ -185,20 +169,16 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
         bundle(&bench, name, "refused.zip", license).refusal()
     };
     let two = committed("two", &|rows| rows[0].system = "Another".to_owned());
-    assert_has(
-        &two,
-        &["2 systems (Another, MotionReFit (twists of the source))"],
-    );
+    let systems = "2 systems (Another, MotionReFit (twists of the source))";
+    assert_has(&two, &[systems]);
     let few = committed("few", &|rows| drop(rows.remove(0)));
     assert_has(&few, &[&format!("item {first} has 0 answers")]);
     assert!(!bench.path("refused.zip").exists());
 
     // Bundles that were changed.
-    let items = bench.path("items");
     let refused = |name: &str, zip: &[u8], problem: &str| {
-        let path = bench.path(name);
-        put(&path, zip);
-        let ran = bench.eval(&[&path], &["--items", arg(&items)]);
+        bench.put(name, zip);
+        let ran = bench.eval(&format!("@{name}"), "--items @items");
         assert!(ran.stdout.is_empty(), "{ran}");
         assert_has(&ran.refusal(), &[name, problem]);
     };
@@ -278,20 +258,17 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     for (name, change, problem) in changes {
         refused(name, &forged(&good, &scratch, change), &problem);
     }
-    let others = bench.items("others", &["--count", "5"]);
-    let path = bench.path("good.zip");
-    bench
-        .eval(&[&path], &["--items", arg(&others)])
-        .expect_refused("it answers the items");
+    bench.items("others", "--count 5");
+    let of_others = bench.eval("@good.zip", "--items @others");
+    of_others.expect_refused("it answers the items");
 
     // The id of an item does not cover its novelty.
     let mut parted: Vec<ItemRow> = bench.rows("items");
     let was = parted[2].novelty.take().expect("known");
     let is = if was == "retake" { "unshown" } else { "retake" };
     parted[2].novelty = Some(is.to_owned());
-    let parted_items = results::write_rows(&bench, "parted", &parted, |row| row.split);
-    let with_items = ["--items", arg(&parted_items)];
-    let said = bench.eval(&[&path], &with_items).refusal();
+    results::write_rows(&bench, "parted", &parted, |row| row.split);
+    let said = bench.eval("@good.zip", "--items @parted").refusal();
     let said_of = format!("item {} as {was}, and these as {is}", parted[2].id);
     assert_has(&said, &["good.zip", &said_of]);
     // Bundles of version 1 did not state it.
@@ -302,8 +279,8 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
         facts_of.insert("format".to_owned(), 1.into());
         members[0].1 = serde_json::to_vec(&facts).expect("JSON");
     });
-    let path = bench.path("older.zip");
-    put(&path, &older);
-    bench.eval(&[&path], &with_items).expect_code(0);
+    bench.put("older.zip", &older);
+    let older = bench.eval("@older.zip", "--items @parted");
+    older.expect_code(0);
     assert!(rows.iter().all(|row| row.split == Split::Test));
 }

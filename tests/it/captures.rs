@@ -1,7 +1,6 @@
 //! Marker captures through the command: marker sets, several people in a capture, and units.
 
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
 use std::fmt::Write;
 
 use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
@@ -10,10 +9,10 @@ use formats::markers::{MarkerSet, marker_sets};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use crate::formats::{all_in_train, ingested, inspected, place, put, walk};
+use crate::formats::{all_in_train, ingested, inspected, walk};
 use crate::util::{
-    arg, assert_has, assert_quarantined, assert_tells, motions_of, real_data, rows_of, stance,
-    typed, typed_with,
+    Folder, arg, assert_has, assert_quarantined, assert_tells, motions_of, real_data, rows_of,
+    stance,
 };
 
 const FPS: f32 = 60.0;
@@ -185,20 +184,20 @@ fn apart(row: &MotionRow, poses: &[Pose]) -> (f64, f64) {
 
 #[test]
 fn every_built_in_set_gives_the_motion_or_says_what_it_leaves_open() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(60, FPS.into());
     for set in marker_sets() {
         let capture = Capture::of(set, &poses);
-        put(&source, &format!("{}.c3d", set.name()), capture.c3d());
+        dir.put(&format!("source/{}.c3d", set.name()), capture.c3d());
     }
-    let splits = all_in_train(dir.path());
+    let splits = all_in_train(&dir);
     let of_legs = [
         ("plug-in-gait-lower-body.c3d", "E-MARKERS"),
         ("helen-hayes-lower-body.c3d", "E-MARKERS"),
         ("opensim-gait.c3d", "E-MARKERS"),
     ];
     let whole = marker_sets().len() - of_legs.len();
-    let (_, out) = ingested(&source, &["--splits", arg(&splits)], &[whole as u64, 3]);
+    let (_, out) = ingested(&dir, "source", splits, &[whole as u64, 3]);
     for (id, row) in motions_of(&out) {
         // Bounds in metres of the mean and of the largest distance. The sets of gait laboratories have one marker on
         // the wrist and none on the head, so they do not determine all rotations.
@@ -222,77 +221,76 @@ fn every_built_in_set_gives_the_motion_or_says_what_it_leaves_open() {
 
 #[test]
 fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(60, FPS.into());
     let mut capture = Capture::of(set("cmu-41"), &poses);
     let own = (0..41).map(|number| format!("M{number:03}")).collect();
     let known = std::mem::replace(&mut capture.labels, own);
-    put(&source, "lab.c3d", capture.c3d());
-    put(&source, "lab.trc", capture.trc());
-    let out = dir.path().join("out");
-    let ran = typed("--json ingest {} --out {}", &[&source, &out]).expect_code(1);
-    let done: Value = ran.json();
+    dir.put("source/lab.c3d", capture.c3d());
+    dir.put("source/lab.trc", capture.trc());
+    let ran = dir.typed("--json ingest @source --out @out");
+    let done: Value = ran.expect_code(1).json();
     assert_eq!(done["ingested"], 0, "{done}");
+    let out = dir.path("out");
     // The message points to the list that has rows, and to no other.
     let reason = done["reason"].as_str().expect("a reason");
     assert!(reason.contains("--list quarantine"), "{reason}");
     assert!(!reason.contains("--list skipped"), "{reason}");
     let expected = [("lab.c3d", "E-MARKERS"), ("lab.trc", "E-MARKERS")];
     let reason = &assert_quarantined(&out, &expected)["lab.c3d"].reason;
-    assert_has(
-        reason,
-        &["none of 41 labels", "cmu-41", "M000 M001", "--markers FILE"],
-    );
+    let parts = ["none of 41 labels", "cmu-41", "M000 M001", "--markers FILE"];
+    assert_has(reason, &parts);
     assert!(rows_of::<MarkerRow>(&out).is_empty());
     // `doctor` reports the same before any work, from the file alone.
-    let said = stance(&["doctor", arg(&source)]).printed();
+    let said = dir.run("doctor @source").stdout;
     assert_has(&said, &["2 motions of 2 captures", reason]);
-    let ran = stance(&["inspect", arg(&source.join("lab.c3d"))]);
+    let ran = dir.typed("inspect @source/lab.c3d");
     ran.expect_code(3).expect_printed("E-MARKERS");
 
     let places: BTreeMap<&String, &String> = capture.labels.iter().zip(&known).collect();
     let own = json!({"name": "lab", "like": "cmu-41", "markers": places});
-    put(dir.path(), "lab.json", own.to_string());
-    let own = dir.path().join("lab.json");
-    let splits = all_in_train(dir.path());
-    let more = ["--splits", arg(&splits), "--markers", arg(&own)];
-    let (_, made) = ingested(&source, &more, &[2, 0]);
+    dir.put("lab.json", own.to_string());
+    let splits = all_in_train(&dir);
+    let more = format!("{splits} --markers @lab.json");
+    let (_, made) = ingested(&dir, "source", &more, &[2, 0]);
     for row in motions_of(&made).values() {
         assert_near(row, &poses);
     }
-    let said = stance(&["doctor", arg(&source), "--markers", arg(&own)]).printed();
+    let said = dir.run("doctor @source --markers @lab.json").stdout;
     assert!(!said.contains("E-MARKERS"), "{said}");
     // The marker set is a setting of the dataset: a run without it is refused.
-    let again = |more: &[&str]| typed_with("ingest {} --out {}", &[&source, &made], more);
-    again(&more)
-        .expect_code(0)
-        .expect_printed("already complete");
-    again(&more[..2]).expect_refused("markers was");
+    let again = |more: &str| {
+        let line = "ingest @source --out @source-dataset";
+        dir.typed(&format!("{line} {more}"))
+    };
+    let complete = again(&more).expect_code(0);
+    complete.expect_printed("already complete");
+    again(splits).expect_refused("markers was");
     // An invalid set is refused with the reason.
     let wrong = r#"{"name": "lab", "markers": {"M000": "LFOO9"}}"#;
-    put(dir.path(), "bad.json", wrong);
-    let ran = again(&["--markers", arg(&dir.path().join("bad.json"))]);
+    dir.put("bad.json", wrong);
+    let ran = again("--markers @bad.json");
     assert_ne!(ran.code, 0);
     ran.expect_said("where LFOO9 is");
 }
 
 #[test]
 fn half_a_set_is_told_from_none_and_parts_may_be_left_at_rest() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(30, FPS.into());
     let whole = Capture::of(set("cmu-41"), &poses);
-    put(&source, "whole.c3d", whole.c3d());
+    dir.put("source/whole.c3d", whole.c3d());
     let mut half = whole.clone();
     for label in &mut half.labels[..20] {
         label.push_str("-x");
     }
-    put(&source, "half.c3d", half.c3d());
+    dir.put("source/half.c3d", half.c3d());
     let legs = Capture::of(set("plug-in-gait-lower-body"), &poses);
-    put(&source, "legs.c3d", legs.c3d());
+    dir.put("source/legs.c3d", legs.c3d());
     let mut once = whole;
     once.frames.truncate(1);
-    put(&source, "once.c3d", once.c3d());
-    let (_, out) = ingested(&source, &[], &[1, 3]);
+    dir.put("source/once.c3d", once.c3d());
+    let (_, out) = ingested(&dir, "source", "", &[1, 3]);
     let expected = [
         ("half.c3d", "E-MARKERS"),
         ("legs.c3d", "E-MARKERS"),
@@ -308,62 +306,57 @@ fn half_a_set_is_told_from_none_and_parts_may_be_left_at_rest() {
 
     let own = r#"{"name": "legs", "like": "plug-in-gait-lower-body",
                   "at_rest": ["trunk", "head", "left_arm", "right_arm"]}"#;
-    put(dir.path(), "legs.json", own);
-    let own = dir.path().join("legs.json");
-    let only = dir.path().join("only");
-    put(&only, "legs.c3d", legs.c3d());
-    let (_, out) = ingested(&only, &["--markers", arg(&own)], &[1]);
+    dir.put("legs.json", own);
+    dir.put("only/legs.c3d", legs.c3d());
+    let (_, out) = ingested(&dir, "only", "--markers @legs.json", &[1]);
     assert_tells(&inspected(&out, "legs"), "as at rest where no marker tells");
 }
 
 #[test]
 fn labels_that_would_part_the_people_of_a_capture_are_reported() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let person = |name, fps, who| Capture::of(set(name), &walk(60, fps)).named(who);
     let take = person("cmu-41", 60.0, "Anna:").and(person("plug-in-gait", 40.0, "Ben:"));
-    put(&source, "take.c3d", take.c3d());
+    dir.put("source/take.c3d", take.c3d());
     let labels = "clip,split\ntake.c3d#Anna,test\ntake.c3d#Ben,val\n";
-    put(&source, "captions.csv", labels);
-    let labelled = dir.path().join("labelled");
-    let done: Value = typed("--json ingest {} --out {}", &[&source, &labelled]).done();
+    dir.put("source/captions.csv", labels);
+    let done: Value = dir.json("ingest @source --out @labelled");
     let reason = "line 3: split val of take.c3d#Ben was not used: take.c3d#Anna, of the same source clip, has split test";
     let problem = json!([{"file": "captions.csv", "reason": reason}]);
     assert_eq!(done["label_problems"], problem);
-    let splits = rows_of::<MotionRow>(&labelled).into_iter();
+    let splits = dir.rows::<MotionRow>("labelled").into_iter();
     assert!(splits.map(|row| row.split).eq([Split::Test; 2]));
     // Where a list decides, no label does.
-    let (listed, list) = (dir.path().join("listed"), dir.path().join("splits.csv"));
-    put(dir.path(), "splits.csv", "take.c3d,val\n");
-    let values: [&dyn AsRef<OsStr>; 3] = [&source, &listed, &list];
-    let done: Value = typed("--json ingest {} --out {} --splits {}", &values).done();
+    dir.put("splits.csv", "take.c3d,val\n");
+    let done: Value = dir.json("ingest @source --out @listed --splits @splits.csv");
     assert_eq!(done["label_problems"], json!([]));
 }
 
 #[test]
 fn each_person_of_a_capture_is_a_clip() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     // Each person walks at a different pace.
     let paces = [60.0, 40.0, 50.0, 33.0, 75.0, 90.0];
     let walks = paces.map(|pace| walk(60, pace));
     let [anna, _, third, _, fifth, sixth] =
         [0, 1, 2, 3, 4, 5].map(|who: usize| Capture::of(set("cmu-41"), &walks[who]).named("Anna:"));
     let ben = |who: usize| Capture::of(set("plug-in-gait"), &walks[who]).named("Ben:");
-    put(&source, "take.c3d", anna.and(ben(1)).c3d());
-    put(&source, "other.trc", third.and(ben(3)).trc());
+    dir.put("source/take.c3d", anna.and(ben(1)).c3d());
+    dir.put("source/other.trc", third.and(ben(3)).trc());
     // One named person beside an object: the clip keeps the id of the file.
     let mut object = fifth;
     object.labels.push("Box:1".to_owned());
     for frame in &mut object.frames {
         frame.push(Some(DVec3::new(5.0, 1.0, 0.5)));
     }
-    put(&source, "alone.c3d", object.c3d());
+    dir.put("source/alone.c3d", object.c3d());
     // A subject with unknown labels is reported, not dropped.
     let mut strange = sixth.and(ben(1));
     for label in &mut strange.labels[41..] {
         *label = label.replace(':', ":q");
     }
-    put(&source, "strange.c3d", strange.c3d());
-    let (_, out) = ingested(&source, &[], &[6, 1]);
+    dir.put("source/strange.c3d", strange.c3d());
+    let (_, out) = ingested(&dir, "source", "", &[6, 1]);
     let rows = motions_of(&out);
     // Each clip, the index of its walk, and its subject.
     let expected = [
@@ -388,36 +381,29 @@ fn each_person_of_a_capture_is_a_clip() {
         assert_eq!(anna, ben, "{file} is in one split");
     }
     // A list of splits can name a person inside a capture as a subject.
-    let list = dir.path().join("splits.csv");
     let drawn = rows["take#Ben"].split;
     let mut others = Split::ALL.into_iter().filter(|split| *split != drawn);
     let other = others.next().expect("another split");
-    put(dir.path(), "splits.csv", format!("subject:Ben,{other}\n"));
-    let listed = dir.path().join("listed");
-    let values: [&dyn AsRef<OsStr>; 3] = [&source, &listed, &list];
-    let done = typed("--json ingest {} --out {} --splits {}", &values).expect_code(3);
-    let done: Value = done.json();
+    dir.put("splits.csv", format!("subject:Ben,{other}\n"));
+    let done = dir.ingest("@source --out @listed --splits @splits.csv", 3);
     assert!(!done.to_string().contains("no clip is called"), "{done}");
     // Others in a capture with Ben get the same split.
-    for row in rows_of::<MotionRow>(&listed) {
+    for row in dir.rows::<MotionRow>("listed") {
         let is_alone = row.id.as_str() == "alone";
         assert!(is_alone || row.split == other, "{}", row.id);
     }
     let markers = rows_of::<MarkerRow>(&out).into_iter();
-    let markers: BTreeMap<String, usize> = markers
-        .map(|row| (row.id.to_string(), row.labels.len()))
-        .collect();
+    let markers = markers.map(|row| (row.id.to_string(), row.labels.len()));
+    let markers: BTreeMap<String, usize> = markers.collect();
     assert_eq!((markers["take#Ben"], markers["alone"]), (35, 42));
     assert_tells(&inspected(&out, "alone"), "points of no person: Box:1");
     assert_quarantined(&out, &[("strange.c3d#Ben", "E-MARKERS")]);
-    let file = format!("{}#Ben", arg(&source.join("take.c3d")));
-    let made = dir.path().join("ben.svg");
-    stance(&["render", &file, "--out", arg(&made)]).expect_code(0);
+    dir.run("render '@source/take.c3d#Ben' --out @ben.svg");
 }
 
 #[test]
 fn a_wrong_unit_is_named_and_overridden() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = Folder::empty();
     let poses = walk(30, FPS.into());
     let whole = Capture::of(set("cmu-41"), &poses);
     // The unit that the file states, its numbers per metre, and the unit that gives a person's size.
@@ -428,39 +414,40 @@ fn a_wrong_unit_is_named_and_overridden() {
         ("cm", 1000.0, "mm"),
         ("mm", 39.37, "in"),
     ] {
-        let source = dir.path().join(format!("{said}-{unit}"));
+        let source = format!("{said}-{unit}");
         let capture = Capture {
             unit: said,
             per_metre,
             ..whole.clone()
         };
-        put(&source, "a.c3d", capture.c3d());
-        put(&source, "b.trc", capture.trc());
-        let out = dir.path().join(format!("{said}-{unit}-refused"));
-        stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_refused("--list quarantine");
+        dir.put(&format!("{source}/a.c3d"), capture.c3d());
+        dir.put(&format!("{source}/b.trc"), capture.trc());
+        let line = format!("ingest @{source} --out @{source}-refused");
+        dir.refused(&line, "--list quarantine");
+        let out = dir.path(&format!("{source}-refused"));
         let found = assert_quarantined(&out, &[("a.c3d", "E-UNIT"), ("b.trc", "E-UNIT")]);
         let as_said = format!("m tall in {said}, as the file says");
         let likely = format!("the numbers are likely {unit} (1.");
         for row in found.values() {
             assert_has(&row.reason, &[&as_said, &likely]);
         }
-        let doctor = stance(&["doctor", arg(&source)]).printed();
+        let doctor = dir.run(&format!("doctor @{source}")).stdout;
         assert_has(&doctor, &[&found["a.c3d"].reason]);
-        let splits = all_in_train(dir.path());
-        let more = ["--splits", arg(&splits), "--unit", unit];
-        let (_, made) = ingested(&source, &more, &[2]);
+        let splits = all_in_train(&dir);
+        let more = format!("{splits} --unit {unit}");
+        let (_, made) = ingested(&dir, &source, &more, &[2]);
         for row in motions_of(&made).values() {
             assert_near(row, &poses);
         }
-        typed("ingest {} --out {} --splits {}", &[&source, &made, &splits])
-            .expect_refused("unit was");
+        let again = format!("ingest @{source} --out @{source}-dataset {splits}");
+        dir.refused(&again, "unit was");
     }
     stance(&["ingest", "x", "--out", "y", "--unit", "parsec"]).expect_code(2);
 }
 
 #[test]
 fn points_that_are_not_seen_are_told_in_either_format() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(30, FPS.into());
     let whole = Capture::of(set("cmu-41"), &poses);
     let filled = |with: Option<DVec3>| {
@@ -471,15 +458,15 @@ fn points_that_are_not_seen_are_told_in_either_format() {
         capture
     };
     let nowhere = filled(Some(DVec3::ZERO));
-    put(&source, "nowhere.c3d", nowhere.c3d());
-    put(&source, "nowhere.trc", nowhere.trc());
-    put(&source, "unseen.c3d", filled(None).c3d());
+    dir.put("source/nowhere.c3d", nowhere.c3d());
+    dir.put("source/nowhere.trc", nowhere.trc());
+    dir.put("source/unseen.c3d", filled(None).c3d());
     // Markers at the origin count as unseen.
     let mut some = whole.clone();
     for frame in &mut some.frames[..10] {
         frame[3] = Some(DVec3::ZERO);
     }
-    put(&source, "some.c3d", some.c3d());
+    dir.put("source/some.c3d", some.c3d());
     // In TRC, the fields of an unseen marker are empty. In `renamed.trc`, two markers have labels of no set.
     let [paced, renamed] = [60.0, 35.0].map(|pace| walk(60, pace));
     let mut capture = Capture::of(set("cmu-41"), &paced);
@@ -487,13 +474,13 @@ fn points_that_are_not_seen_are_told_in_either_format() {
         frame[3] = None;
     }
     let text = capture.trc();
-    put(&source, "walk.trc", &text);
-    put(&source, "cut.trc", &text[..text.len() * 3 / 4]);
+    dir.put("source/walk.trc", &text);
+    dir.put("source/cut.trc", &text[..text.len() * 3 / 4]);
     let renamed = Capture::of(set("cmu-41"), &renamed).trc();
     let renamed = renamed.replace("LFHD", "M1").replace("CLAV", "M2");
-    put(&source, "renamed.trc", renamed);
-    let splits = all_in_train(dir.path());
-    let (_, out) = ingested(&source, &["--splits", arg(&splits)], &[3, 4]);
+    dir.put("source/renamed.trc", renamed);
+    let splits = all_in_train(&dir);
+    let (_, out) = ingested(&dir, "source", splits, &[3, 4]);
     let expected = [
         ("cut.trc", "E-TRC-ROW"),
         ("nowhere.c3d", "E-C3D-ZERO"),
@@ -508,7 +495,7 @@ fn points_that_are_not_seen_are_told_in_either_format() {
     assert_eq!(rows_of::<MarkerRow>(&out).len(), 3);
     assert_tells(&inspected(&out, "some"), "10 positions at the origin");
     assert_tells(&inspected(&out, "walk"), "markers cmu-41");
-    let ran = stance(&["inspect", arg(&source.join("cut.trc"))]).expect_code(3);
+    let ran = dir.typed("inspect @source/cut.trc").expect_code(3);
     ran.expect_printed("E-TRC-ROW");
 }
 
@@ -517,11 +504,11 @@ fn real_captures_are_all_accounted_for_with_a_reason() {
     let Some(data) = real_data("real_captures_are_all_accounted_for_with_a_reason") else {
         return;
     };
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let out = dir.path().join("out");
+    let dir = Folder::empty();
+    let out = dir.path("out");
     let [all, cases] = ["c3d", "c3d_cases"].map(|name| data.join(name));
-    let ran = typed("--json ingest {} {} --out {}", &[&all, &cases, &out]).expect_code(3);
-    let done: Value = ran.json();
+    let ran = dir.typed_with("--json ingest --out @out", &[arg(&all), arg(&cases)]);
+    let done: Value = ran.expect_code(3).json();
     let rows = motions_of(&out);
     // Every item counted as ingested is a motion.
     assert_eq!(done["ingested"], rows.len(), "{done}");
@@ -540,10 +527,9 @@ fn real_captures_are_all_accounted_for_with_a_reason() {
         assert!(error < 0.05, "{}: {error} m", row.id);
     }
     // A unit that --unit misnames is named, and not the processor.
-    let (wrong, subjects) = (dir.path().join("wrong"), cases.join("two_subjects.c3d"));
-    let line = "--json ingest {} --unit m --out {}";
-    let refused: Value = typed(line, &[&subjects, &wrong]).expect_code(1).json();
-    assert_has(&refused.to_string(), &["E-UNIT"]);
+    let subjects = cases.join("two_subjects.c3d");
+    let refused = dir.typed_with("--json ingest --unit m --out @wrong", &[arg(&subjects)]);
+    assert_has(&refused.expect_code(1).stdout, &["E-UNIT"]);
     let quarantine: Vec<QuarantineRow> = rows_of(&out);
     let said = |path: &str| {
         let row = quarantine.iter().find(|row| row.path == path);

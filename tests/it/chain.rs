@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 
 use datasets_spec::record::MotionRow;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::results::score;
 use crate::tables::tables;
-use crate::util::{Folder, arg, assert_has, list_of, number_of, word_of};
+use crate::util::{Folder, arg, assert_has, list_of, number_of, texts_in};
 
 #[test]
 fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
@@ -43,9 +43,8 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     let run = "run --weak-judge --config @run.toml";
     let first: Value = folder.json(run);
     let scores = list_of(&first["scores"]);
-    let systems = scores.iter().map(|score| word_of(&score["system"]));
     assert_eq!(
-        systems.collect::<BTreeSet<_>>(),
+        BTreeSet::from_iter(texts_in(&first["scores"], "system")),
         BTreeSet::from([
             "Identity",
             "MotionReFit tiny",
@@ -79,23 +78,14 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     assert_eq!(again["scores"], first["scores"]);
 
     // Other settings of the pose network are not passed over, although it is trained.
-    let other = folder
-        .text("run.toml")
-        .replace("num_steps = 20", "num_steps = 30");
+    let text = folder.text("run.toml");
+    let other = text.replace("num_steps = 20", "num_steps = 30");
     folder.put("other.toml", other);
-    let refused = folder
-        .typed("run --weak-judge --config @other.toml")
-        .refusal();
-    assert_has(
-        &refused,
-        &[
-            "stage train j2s",
-            "holds a run whose config.length.steps differs",
-        ],
-    );
+    let differs = "holds a run whose config.length.steps differs";
+    let refused = folder.refused("run --weak-judge --config @other.toml", differs);
+    refused.expect_said("stage train j2s");
 
     // The encoder that ships with the program replaces a trained one.
-    let text = folder.text("run.toml");
     let (settings, rest) = text.split_once("[encoder]").expect("a section");
     let (_, items) = rest.split_once("[items]").expect("a section");
     let name_encoder = |encoder: &str| {
@@ -111,9 +101,8 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         assert_eq!(row["encoder_hash"], report["encoder_hash"]);
     }
     name_encoder("another");
-    folder
-        .typed("run --config @builtin.toml")
-        .expect_refused("builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]");
+    let said = "builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]";
+    folder.refused("run --config @builtin.toml", said);
     // What the editor would ignore, or no table takes, is refused before anything is trained.
     for (edit, said) in [
         ("steps = 5", "makes no use of --diffusion-steps"),
@@ -121,9 +110,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     ] {
         let plan = format!("sources = [\"corpus\"]\nout = \"refused\"\n[edit]\n{edit}\n");
         folder.put("refused.toml", plan);
-        folder
-            .typed("run --config @refused.toml")
-            .expect_refused(said);
+        folder.refused("run --config @refused.toml", said);
         assert!(!folder.path("refused").exists());
     }
 
@@ -171,13 +158,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     folder.run(&format!(
         "{draw} @run/edits/editor @run/edits/composed-once"
     ));
-    assert_has(
-        &folder.text("strip.svg"),
-        &["tiny + coordinator", "tiny, seed", "composed once"],
-    );
-    folder
-        .typed(&format!("{draw} @run/dataset"))
-        .expect_refused("has no answer to item");
+    let names = ["tiny + coordinator", "tiny, seed", "composed once"];
+    assert_has(&folder.text("strip.svg"), &names);
+    let unanswered = format!("{draw} @run/dataset");
+    folder.refused(&unanswered, "has no answer to item");
     folder.run(&format!(
         "edit @run/runs/motionrefit --dataset @run/dataset --motion {clip} --out @edited.npz \
          --text 'The person is waving with their left arm.'"
@@ -187,31 +171,30 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
 #[test]
 fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
-    let folder = Folder::of_clips(10);
-    folder.run("ingest @corpus --out @dataset");
-    folder.run("masks @dataset");
+    let folder = Folder::of_masks(10);
     folder.run("masks @dataset --drafts @masks.jsonl");
     let lines = folder.text("masks.jsonl");
-    let judged = lines
-        .replacen("\"todo\"", "\"accept\"", 2)
-        .replacen("\"todo\"", "\"reject\"", 1);
+    let judged = lines.replacen("\"todo\"", "\"accept\"", 2);
+    let judged = judged.replacen("\"todo\"", "\"reject\"", 1);
     folder.put("masks.jsonl", judged);
     let accept = "masks @dataset --accept @masks.jsonl --author ann";
     let done: Value = folder.json(accept);
     assert_eq!(done["masks"], lines.lines().count() - 1);
     assert_eq!(done["origins"]["human"], 2);
-    folder
-        .typed("masks @dataset")
-        .expect_refused("2 masks judged by people");
+    folder.refused("masks @dataset", "2 masks judged by people");
     folder.put("masks.jsonl", "{}\n");
-    folder.typed(accept).expect_refused("masks.jsonl:1");
+    folder.refused(accept, "masks.jsonl:1");
     // Masks that were kept stay judged by people, until they are given up in so many words.
     let added: Value = folder.json("masks @dataset --add");
     assert_eq!(added["origins"]["human"], 2);
-    folder
-        .typed("masks @dataset")
-        .expect_refused("2 masks judged by people");
+    folder.refused("masks @dataset", "2 masks judged by people");
+    assert_eq!(added["discarded"], json!({ "masks": 0, "rejections": 0 }));
+    let counts = added["rejected"].as_object().expect("counts").values();
+    let rejections: u64 = counts.filter_map(Value::as_u64).sum();
     let replaced: Value = folder.json("masks @dataset --replace");
+    let discarded = json!({ "masks": 2, "rejections": rejections });
+    assert_eq!(replaced["discarded"], discarded);
+    assert!(rejections > 0, "{added}");
     assert_eq!(replaced["masks"], lines.lines().count());
     assert!(replaced["origins"]["human"].is_null(), "{replaced}");
     for again in ["masks @dataset", "masks @dataset --replace"] {

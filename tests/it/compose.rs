@@ -12,8 +12,7 @@ use datasets_spec::table::Row;
 use serde_json::Value;
 
 use crate::util::{
-    Folder, arg, assert_has, commit, dataset_of, files_with_extension, json_of, motions_of,
-    number_of, rows_of, stem_of, typed,
+    Folder, arg, assert_has, commit, files_with_extension, json_of, motions_of, number_of, stem_of,
 };
 
 /// One take of 26 actions in six styles.
@@ -91,9 +90,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
 
 #[test]
 fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
-    let folder = Folder::of_clips(48);
-    folder.run("ingest @corpus --out @dataset");
-    folder.run("masks @dataset");
+    let folder = Folder::of_masks(48);
     let record = |out: &str, more: &str| {
         folder.run(&format!(
             "triplets @dataset --windows 200 --out @{out} {more}"
@@ -119,9 +116,8 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
 
     // Windows recorded with another normaliser are refused.
     record("other", "--where 'n_frames > 130'");
-    folder
-        .typed(&format!("{train} --out @run2 --windows @other"))
-        .expect_refused("another normaliser");
+    let other = format!("{train} --out @run2 --windows @other");
+    folder.refused(&other, "another normaliser");
 
     // A run records how its windows were composed, and its seed is not theirs.
     folder.put("once.toml", "fixed_pairs = true\nrange = \"scalar\"\n");
@@ -153,9 +149,7 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     facts.remove("recorded_windows").expect("a fact");
     fs::write(&path, manifest.to_string()).expect("written");
     let again = format!("{train} --out @run --windows @windows");
-    folder
-        .typed(&again)
-        .expect_refused("does not state how windows were composed");
+    folder.refused(&again, "does not state how windows were composed");
     record("windows", "");
     assert_eq!(hash("windows"), before);
     folder.run(&again);
@@ -171,15 +165,15 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     let stats: Value = folder.json("triplets stats @dataset --compose @long.toml");
     assert_eq!(stats["too_short"], short, "{stats}");
     let items = "items @dataset --split train --count 4 --compose @long.toml --out @few";
-    folder
-        .typed(items)
-        .expect_code(0)
-        .expect_said(&format!("{short} masks and pairs of split train"));
+    let said = format!("{short} masks and pairs of split train");
+    let ran = folder.run(&format!("--json {items}"));
+    ran.expect_said(&said);
+    assert_eq!(ran.json::<Value>()["too_short"], short);
     let windows = "triplets @dataset --windows 4 --compose @long.toml --out @long-windows";
-    folder
-        .typed(windows)
-        .expect_code(0)
-        .expect_said(&format!("{short} masks and pairs are shorter"));
+    let said = format!("{short} masks and pairs are shorter");
+    let ran = folder.run(&format!("--json {windows}"));
+    ran.expect_said(&said);
+    assert_eq!(ran.json::<Value>()["too_short"], short);
     folder.put("train.toml", "batch_size = 16\nwindow = 60\n");
     let done: Value = folder.json(&format!("{train} --out @long"));
     assert_eq!(done["left_out"], short, "{done}");
@@ -187,15 +181,9 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
 
     // Windows are refused if the dataset no longer has all masks that they were recorded from.
     let masks: Vec<MaskRow> = folder.rows("dataset");
-    commit(
-        &folder.path("dataset"),
-        &masks[1..],
-        |row| row.split,
-        "fewer",
-    );
-    folder
-        .typed(&again)
-        .expect_refused("other motions, masks or pairs");
+    let dataset = folder.path("dataset");
+    commit(&dataset, &masks[1..], |row| row.split, "fewer");
+    folder.refused(&again, "other motions, masks or pairs");
 
     let stats: Value = folder.json("triplets stats @dataset --sheet @sheet.svg");
     assert!(number_of(&stats["distinct_pairs"]["semantic"]) > 100.0);
@@ -222,20 +210,13 @@ fn the_examples_build_datasets() {
 
 #[test]
 fn a_split_without_clips_is_said_to_be_empty() {
-    let (dir, dataset) = dataset_of(1, &[]);
-    typed("masks {}", &[&dataset]).expect_code(0);
-    let own = rows_of::<MotionRow>(&dataset)[0].split;
-    let out = dir.path().join("items");
+    let dir = Folder::of_masks(1);
+    let own = dir.rows::<MotionRow>("dataset")[0].split;
     for split in ["train", "val", "test"] {
-        let ran = typed(
-            "items {} --split {} --count 4 --out {}",
-            &[&dataset, &split, &out],
-        );
-        let refused = ran.refusal();
-        assert_eq!(
-            refused.contains(&format!("is in split {split}; choose another split")),
-            split != own.as_str(),
-            "{refused}"
-        );
+        let line = format!("items @dataset --split {split} --count 4 --out @items");
+        let refused = dir.typed(&line).refusal();
+        let said = format!("is in split {split}; choose another split");
+        let is_empty = split != own.as_str();
+        assert_eq!(refused.contains(&said), is_empty, "{refused}");
     }
 }

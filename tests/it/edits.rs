@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use datasets_spec::record::MotionRow;
 use serde_json::Value;
 
 use crate::train::Workshop;
@@ -68,7 +69,7 @@ fn an_edit_depends_on_the_motion_and_not_on_its_name() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
     for name in ["one/walk.bvh", "two/stroll.bvh"] {
-        workshop.put(name, fs::read(workshop.clip()).expect("a clip"));
+        workshop.put(name, workshop.text("walk.bvh"));
     }
     let edit = |named: &str, out: &str| -> Ran {
         let line = format!("edit @editor {named} --out @{out}");
@@ -119,9 +120,7 @@ fn an_edit_depends_on_the_motion_and_not_on_its_name() {
     }
     let [first, second] = ["one", "two"].map(|folder| {
         let dataset = format!("{folder}-dataset");
-        let id = workshop.rows::<datasets_spec::record::MotionRow>(&dataset)[0]
-            .id
-            .clone();
+        let id = workshop.rows::<MotionRow>(&dataset).remove(0).id;
         let more = format!("--dataset @{dataset} --motion {id} --text wave");
         edit(&more, &format!("{folder}.bvh"));
         (id, workshop.text(&format!("{folder}.bvh")))
@@ -135,31 +134,26 @@ fn what_an_edit_has_no_place_for_is_refused_before_it_begins() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
     workshop.run("items @dataset --out @items --count 4");
-    let motion = format!("--motion {} --text wave", workshop.clip().display());
-    let history = format!("--history @walk.json {motion}");
-    let items = "--items @items".to_owned();
+    let motion = "--motion @walk.bvh --text wave";
+    let history = "--history @walk.json --motion @walk.bvh --text wave";
+    let items = "--items @items";
     for (asked, more, code, said) in [
-        (&motion, "--takes 3", 2, "--takes <N>"),
-        (&history, "--takes 3", 2, "--takes <N>"),
-        (&items, "--undo", 2, "--undo"),
-        (&items, "--redo", 2, "--redo"),
-        (&items, "--name ''", 2, "expected a name"),
-        (&items, "--name ' '", 2, "expected a name"),
-        (&items, "--name Identity", 2, "is a row of every table"),
-        (&motion, "--name 'Real Data'", 2, "is a row of every table"),
-        (&items, "--text-encoder none", 1, "no use of --text-encoder"),
-        (
-            &motion,
-            "--text-encoder none",
-            1,
-            "no use of --text-encoder",
-        ),
-        (&items, "--start 3", 1, "no use of --start"),
+        (motion, "--takes 3", 2, "--takes <N>"),
+        (history, "--takes 3", 2, "--takes <N>"),
+        (items, "--undo", 2, "--undo"),
+        (items, "--redo", 2, "--redo"),
+        (items, "--name ''", 2, "expected a name"),
+        (items, "--name ' '", 2, "expected a name"),
+        (items, "--name Identity", 2, "is a row of every table"),
+        (motion, "--name 'Real Data'", 2, "is a row of every table"),
+        (items, "--text-encoder none", 1, "no use of --text-encoder"),
+        (motion, "--text-encoder none", 1, "no use of --text-encoder"),
+        (items, "--start 3", 1, "no use of --start"),
     ] {
         let line = format!("edit @editor {asked} {more}");
         let ran = workshop.typed(&format!("{line} --out @edits"));
         ran.expect_code(code).expect_said(said);
-        if asked == &items {
+        if asked == items {
             let ran = workshop.typed(&format!("stage plan {line} --into @edits --out @plan"));
             ran.expect_code(code).expect_said(said);
         }
@@ -173,16 +167,12 @@ fn what_an_edit_has_no_place_for_is_refused_before_it_begins() {
 fn an_edit_replaces_nothing_that_it_reads_and_says_what_it_drops() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
-    let clip = workshop.clip();
-    let motion = format!("edit @editor --motion {}", clip.display());
-    let before = fs::read(&clip).expect("a motion");
-    let ran = workshop.typed(&format!(
-        "--json {motion} --text wave --out {}",
-        clip.display()
-    ));
+    let motion = "edit @editor --motion @walk.bvh";
+    let before = workshop.text("walk.bvh");
+    let ran = workshop.typed(&format!("--json {motion} --text wave --out @walk.bvh"));
     let refused: Value = ran.expect_code(1).json();
     assert_eq!(refused["code"], "E-OCCUPIED", "{refused}");
-    assert!(fs::read(&clip).expect("a motion") == before);
+    assert!(workshop.text("walk.bvh") == before);
 
     let long = "wave ".repeat(40);
     let begun = format!("{motion} --history @layers.json --text '{long}' --text wave");
@@ -192,7 +182,6 @@ fn an_edit_replaces_nothing_that_it_reads_and_says_what_it_drops() {
     workshop.run(&format!("{more} --undo"));
     let ran = workshop.typed(&format!("{more} --text bow")).expect_code(0);
     ran.expect_said("1 edits that were taken back are dropped");
-    workshop
-        .typed(&format!("{more} --out @layers.json"))
-        .expect_code(1);
+    let ran = workshop.typed(&format!("{more} --out @layers.json"));
+    ran.expect_code(1);
 }

@@ -3,21 +3,20 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::ops::Deref;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::{Skeleton, Split};
 use eval::metric::{Metric, Part, of_part};
 use serde_json::{Value, json};
 
-use crate::results::score;
+use crate::results::{score, write_rows};
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
 use crate::util::{
-    Folder, Ran, arg, assert_has, files_with_extension, json_lines, json_of, len_of, list_of,
-    number_of, put, rows_of, stance, word_of,
+    Folder, Ran, assert_has, files_with_extension, json_lines, json_of, len_of, list_of, number_of,
+    put, stance, texts_in, word_of,
 };
 
 /// Settings of an evaluation encoder that is trained in a second.
@@ -35,72 +34,68 @@ pub(crate) const SMALL_ENCODER: &str = "
 ";
 
 /// A workshop with an editor, an encoder and items.
-pub(crate) struct Bench {
-    pub(crate) workshop: Workshop,
-}
+pub(crate) struct Bench(Workshop);
 
 impl Deref for Bench {
     type Target = Workshop;
 
     fn deref(&self) -> &Workshop {
-        &self.workshop
+        &self.0
     }
 }
 
 impl Bench {
     pub(crate) fn open() -> Self {
-        Self::of_items("8")
+        Self::of_items(8)
     }
 
     /// A workshop with `count` items.
-    pub(crate) fn of_items(count: &str) -> Self {
+    pub(crate) fn of_items(count: usize) -> Self {
         Self::of(Workshop::open(), count)
     }
 
     /// A bench whose folder `corpus` holds the source of its dataset.
     fn with_corpus() -> Self {
-        Self::of(Workshop::with_corpus(), "8")
+        Self::of(Workshop::with_corpus(), 8)
     }
 
-    fn of(workshop: Workshop, count: &str) -> Self {
+    fn of(workshop: Workshop, count: usize) -> Self {
         workshop.train_both();
-        let bench = Self { workshop };
-        bench.items("items", &["--count", count]);
+        let bench = Self(workshop);
+        bench.items("items", &format!("--count {count}"));
         bench
     }
 
     /// Draws items of the test split.
-    pub(crate) fn items(&self, name: &str, more: &[&str]) -> PathBuf {
-        let line = format!("items @dataset --out @{name}");
-        self.typed_with(&line, more).expect_code(0);
-        self.path(name)
+    pub(crate) fn items(&self, name: &str, more: &str) {
+        self.run(&format!("items @dataset --out @{name} {more}"));
     }
 
-    /// Answers the items with the editor and returns the folder.
-    pub(crate) fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
-        self.answers("editor", "items", name, more)
+    /// Answers the items with the editor.
+    pub(crate) fn edits(&self, name: &str, more: &str) {
+        self.answers("editor", "items", name, more);
     }
 
     /// Answers items with a run.
-    pub(crate) fn answers(&self, run: &str, items: &str, name: &str, more: &[&str]) -> PathBuf {
+    pub(crate) fn answers(&self, run: &str, items: &str, name: &str, more: &str) {
         let line = format!("edit @{run} --items @{items} --out @{name}");
-        self.typed_with(&line, more).expect_code(0);
-        self.path(name)
+        self.run(&format!("{line} {more}"));
     }
 
-    /// Evaluates edits, as Table 1 of the paper unless `more` names another.
-    pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
-        let mut args = more.to_vec();
-        if !more.contains(&"--table") {
-            args.extend(["--table", "1"]);
-        }
-        args.extend(edits.iter().map(|path| arg(path)));
-        self.typed_with("eval --encoder @encoder --weak-judge --repeats 2", &args)
+    /// Evaluates folders of edits, as Table 1 of the paper unless `more` names another.
+    pub(crate) fn eval(&self, edits: &str, more: &str) -> Ran {
+        let table = if more.contains("--table") {
+            ""
+        } else {
+            "--table 1"
+        };
+        let line = "eval --encoder @encoder --weak-judge --repeats 2";
+        self.typed(&format!("{line} {more} {table} {edits}"))
     }
 
     /// The scores of an evaluation, as `--json` prints them.
-    pub(crate) fn scores(&self, edits: &[&Path], more: &[&str]) -> Value {
-        self.eval(edits, &[&["--json"], more].concat()).done()
+    pub(crate) fn scores(&self, edits: &str, more: &str) -> Value {
+        self.eval(edits, &format!("--json {more}")).done()
     }
 
     /// Number of entries in a folder of a plan's results.
@@ -116,11 +111,10 @@ pub(crate) const UNPOSED: &str = "MotionReFit (twists of the source)";
 #[test]
 fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let bench = Bench::open();
-    let first = bench.edits("first", &[]);
-    let second = bench.edits("second", &["--guidance", "2"]);
-    let both = bench.scores(&[&first, &second], &[]);
-    let rows = list_of(&both).iter();
-    let systems: BTreeSet<&str> = rows.map(|row| word_of(&row["system"])).collect();
+    bench.edits("first", "");
+    bench.edits("second", "--guidance 2");
+    let both = bench.scores("@first @second", "");
+    let systems = BTreeSet::from_iter(texts_in(&both, "system"));
     // The system's name contains the settings that differ from those of the training.
     assert_eq!(
         Vec::from_iter(systems),
@@ -132,10 +126,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         ]
     );
 
-    let scores = bench.scores(&[&first], &[]);
+    let scores = bench.scores("@first", "");
     let names = ["Real Data", "Identity", UNPOSED];
-    let published = ["--published", "--format", "markdown"];
-    let ran = bench.eval(&[&first], &published).expect_code(0);
+    let ran = bench.eval("@first", "--published --format markdown");
+    let ran = ran.expect_code(0);
     // The first table is that of the only task; tables of novelties follow.
     let table = &tables(&ran.stdout)[0];
     assert_eq!(table.heading, "semantic");
@@ -164,10 +158,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
          50.62 ±1.61; 61.95 ±1.42; 68.52 ±1.48; 4.48 ±0.12"
     );
 
-    let a3 = ["--table", "a3", "--format", "markdown", "--further"];
-    let ran = bench.eval(&[&first], &a3).expect_code(0);
+    let ran = bench.eval("@first", "--table a3 --format markdown --further");
+    let ran = ran.expect_code(0);
     ran.expect_said("Table A3 is about motionfix edits");
-    let full = bench.scores(&[&first], &["--table", "a3"]);
+    let full = bench.scores("@first", "--table a3");
     // A further metric that was not measured here, such as Multimodality of one take, has no column.
     let columns = |part: Part| -> Vec<String> {
         let is_measured = |metric: &&Metric| {
@@ -196,11 +190,8 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         assert_eq!(table.head, head);
         table.check_measured(&names, &full);
         assert_eq!(table.names(), names);
-        let gallery = table.conditions.split("; ").nth(2).expect("the protocol");
-        assert!(
-            gallery.starts_with("one gallery of all 8, real queries,"),
-            "{gallery}"
-        );
+        let gallery = "; one gallery of all 8, real queries,";
+        assert_has(&table.conditions, &[gallery]);
     }
 
     let fit: Value = bench.json("eval encoder @dataset --encoder @encoder");
@@ -213,41 +204,26 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let clips = number_of(&fit[10]["n"]);
     // Equal captions count as hits, so chance is at least that of one hit in the gallery. 1e-9 covers the rounding of a sum.
     let one_of_gallery = 100.0 / clips.min(32.0) - 1e-9;
-    assert!(
-        by_chance[0] >= one_of_gallery && by_chance.is_sorted(),
-        "{by_chance:?}"
-    );
+    let is_chance = by_chance[0] >= one_of_gallery && by_chance.is_sorted();
+    assert!(is_chance, "{by_chance:?}");
     assert!(number_of(&fit[10]["texts"]) <= clips);
     assert_eq!(fit[10]["encoder_hash"], both[0]["encoder_hash"]);
 
     // A caption of a part of a clip is measured with that part alone, and one of no frame is left out and counted.
-    let (dataset, timed) = (bench.path("dataset"), bench.path("timed"));
-    let mut rows: Vec<MotionRow> = rows_of(&dataset);
+    let mut rows: Vec<MotionRow> = bench.rows("dataset");
     for row in &mut rows {
-        row.captions
-            .iter_mut()
-            .for_each(|caption| caption.to_s = 1.0);
+        for caption in &mut row.captions {
+            caption.to_s = 1.0;
+        }
         row.captions[0].to_s = 0.01;
     }
     let of_val = |row: &&MotionRow| row.split == Split::Val;
     let captions = rows.iter().filter(of_val).map(|row| row.captions.len());
     let (clips, captions) = (rows.iter().filter(of_val).count(), captions.sum::<usize>());
-    let skeleton = Skeleton::smplx_neutral();
-    commit_rows(
-        &timed,
-        &rows,
-        Some(|row| row.split),
-        &skeleton,
-        "timed",
-        "test",
-    )
-    .expect("written");
-    let ran = bench
-        .typed("eval encoder @timed --encoder @encoder --split val")
-        .expect_code(0);
-    ran.expect_said(&format!(
-        "{clips} captions of parts of fewer than two frames"
-    ));
+    write_rows(&bench, "timed", &rows, |row| row.split);
+    let ran = bench.run("eval encoder @timed --encoder @encoder --split val");
+    let line = format!("{clips} captions of parts of fewer than two frames");
+    ran.expect_said(&line);
     ran.expect_printed(&format!("{} clips", captions - clips));
 
     let differences = |other: &str| -> Vec<Value> {
@@ -255,9 +231,8 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
             "eval compare @first @{other} --encoder @encoder --weak-judge --repeats 2"
         ));
         let tasks = list_of(&compared).iter();
-        tasks
-            .flat_map(|task| list_of(&task["differences"]).to_vec())
-            .collect()
+        let differences = tasks.flat_map(|task| list_of(&task["differences"]));
+        differences.cloned().collect()
     };
     let same = differences("first");
     assert!(!same.is_empty());
@@ -482,14 +457,10 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     assert_eq!(len_of(&made["failed"]), 5, "{made}");
     let older = "table-2 (no system of it has edits; its files are of an earlier run)";
     assert_has(&failed, &["broken", older]);
-    assert_has(
-        &bench.text("made/tables/table-1.txt"),
-        &["ours", "failed to make edits of broken"],
-    );
-    assert_has(
-        &bench.text("made/index.html"),
-        &["failed and missing", older],
-    );
+    let table = bench.text("made/tables/table-1.txt");
+    assert_has(&table, &["ours", "failed to make edits of broken"]);
+    let page = bench.text("made/index.html");
+    assert_has(&page, &["failed and missing", older]);
     for (figure, point) in [(1, 0), (1, 1), (2, 0), (2, 1)] {
         assert!(len_of(&made["figures"][figure]["points"][point]["scores"]) > 0);
     }
@@ -533,9 +504,7 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
         );
     };
     plan("[6, 6]");
-    bench
-        .typed("reproduce @plan.toml")
-        .expect_refused("holds 6 twice");
+    bench.refused("reproduce @plan.toml", "holds 6 twice");
     let run = |seeds: &str| -> Value {
         plan(seeds);
         reproduced(&bench)
@@ -562,10 +531,8 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
     let point = &both["figures"][0]["points"][0];
     assert!((mean(&point["scores"], "ours") - expected).abs() < 1e-12);
     assert_eq!(mean(&point["trainings"][1], "ours"), seeds[1]);
-    assert_has(
-        &bench.text("made/tables/table-1.md"),
-        &["Means over 2 trainings of each system, fewer for once"],
-    );
+    let means = "Means over 2 trainings of each system, fewer for once";
+    assert_has(&bench.text("made/tables/table-1.md"), &[means]);
     // Six items have too few targets for an interval, however many trainings there are.
     let cell = format!("| false | {expected:.3} |");
     assert_has(&bench.text("made/tables/pairs.md"), &[&cell]);
@@ -609,8 +576,7 @@ fn plans_of_the_program_can_be_followed() {
         assert!(ran.stdout.lines().count() > 1, "{name}: {}", ran.stdout);
     }
     // A plan that needs pairs of MotionFix is refused before it trains anything.
-    let folder = Folder::of_clips(8);
-    folder.run("ingest @corpus --out @dataset");
+    let folder = Folder::of_dataset(8);
     for plans in ["paper", "small"] {
         for table in ["2", "a3"] {
             let line = format!("reproduce {plans}/table-{table} --dataset @dataset --dry-run");
@@ -623,18 +589,9 @@ fn plans_of_the_program_can_be_followed() {
 /// A body a tenth larger than the built-in one, as a file of joints.
 fn tall_body(path: &Path) -> Skeleton {
     let neutral = Skeleton::smplx_neutral();
-    let shape = "{'descr': '<f8', 'fortran_order': False, 'shape': (55, 3), }";
-    // Magic, version, length and header together fill a multiple of 64 bytes.
-    let header = format!("{shape:<117}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.bytes());
-    for joint in 0..55 {
-        for value in (1.1 * neutral.rest(joint)).to_array() {
-            bytes.extend(value.to_le_bytes());
-        }
-    }
-    put(path, bytes);
+    let joints = (0..55).flat_map(|joint| (1.1 * neutral.rest(joint)).to_array());
+    let joints: Vec<f64> = joints.collect();
+    put(path, pickle::npy::encode(&[55, 3], &joints));
     formats::source::body_model::read_skeleton(path).expect("a body")
 }
 
@@ -696,30 +653,23 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
 #[test]
 fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     let bench = Bench::open();
-    bench.edits("first", &[]);
+    bench.edits("first", "");
     let made: Value =
         bench.json("report @first --encoder @encoder --weak-judge --items 3 --out @page.html");
     let html = bench.text("page.html");
     assert_eq!(made["bytes"], html.len());
     let items_of = |viewer: &str| -> Vec<Value> {
-        let data = html
+        let (_, data) = html
             .split_once(&format!("id=\"{viewer}-data\">"))
-            .and_then(|(_, rest)| rest.split_once("</script>"))
-            .expect("data of the viewer")
-            .0;
+            .expect("a viewer");
+        let (data, _) = data.split_once("</script>").expect("its end");
         let data: Value = serde_json::from_str(data).expect("JSON");
         list_of(&data["items"]).to_vec()
     };
     let opening = items_of("opening-viewer");
     assert_eq!(opening.len(), 1);
-    let labels_of = |item: &Value| -> Vec<String> {
-        let motions = list_of(&item["motions"]).iter();
-        motions
-            .map(|motion| word_of(&motion["label"]).to_owned())
-            .collect()
-    };
-    let labels = labels_of(&opening[0]);
-    let [source, edited, target] = &labels[..] else {
+    let labels = texts_in(&opening[0]["motions"], "label");
+    let [source, edited, target] = labels[..] else {
         panic!("{labels:?}");
     };
     assert_eq!([source, target], ["source", "target"]);
@@ -729,18 +679,16 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     let items = items_of("viewer");
     assert_eq!(items.len(), 3);
     for item in &items {
-        let labels = labels_of(item);
-        assert_eq!([&labels[0], &labels[2]], ["source", "target"]);
+        let labels = texts_in(&item["motions"], "label");
+        assert_eq!([labels[0], labels[2]], ["source", "target"]);
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
     // The tables have columns of motion quality.
     assert_has(&html, &["Foot slide (m/s)", "Jerk (m/s³)"]);
-    bench
-        .typed("report @encoder --out @page.html")
-        .expect_refused("encoder");
+    bench.refused("report @encoder --out @page.html", "encoder");
 
     // The settings of several systems are shown as a table.
-    bench.edits("second", &["--guidance", "2", "--name", "strong"]);
+    bench.edits("second", "--guidance 2 --name strong");
     bench.run("report @first @second --out @page.html");
     let html = bench.text("page.html");
     assert_has(&html, &["<table class=\"settings\">", ">strong<"]);
@@ -749,17 +697,15 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
 
 #[test]
 fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
-    let bench = Bench::of_items("24");
+    let bench = Bench::of_items(24);
     let train = || bench.run("train tmr @dataset --out @weak --steps 1").stdout;
-    assert_has(
-        &train(),
-        &[
-            "text to motion: R@1",
-            "motion to text: R@1",
-            "chance",
-            "ranks nothing",
-        ],
-    );
+    let said = [
+        "text to motion: R@1",
+        "motion to text: R@1",
+        "chance",
+        "ranks nothing",
+    ];
+    assert_has(&train(), &said);
     let report: Value = json_of(bench.path("weak/report.json"));
     assert_eq!(report["dataset_hash"], bench.root_hash());
     let dataset = bench.dataset_at("dataset");
@@ -769,19 +715,14 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert_eq!(report["clips"], clips.len());
     assert_eq!(report["texts"], texts.len());
 
-    bench.edits("first", &[]);
+    bench.edits("first", "");
     let sentence = "This table ranks nothing.";
     let eval = |more: &str, code: i32| {
         let line = format!("eval @first --encoder @weak --repeats 2 {more}");
         bench.typed(&line).expect_code(code)
     };
     let ran = eval("", 1);
-    let mut lines = ran.stdout.lines();
-    assert!(
-        lines.any(|line| line.starts_with(sentence)),
-        "{}",
-        ran.stdout
-    );
+    assert_has(&format!("\n{}", ran.stdout), &[&format!("\n{sentence}")]);
     assert!(!ran.stdout.contains('*') && !ran.stdout.contains("Behind the identity"));
     ran.expect_said("--weak-judge");
     assert_eq!(eval("--weak-judge", 0).stdout, ran.stdout);
@@ -803,10 +744,8 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     ranks_nothing("page.html");
     write_plan(&bench, ONE_TABLE);
     let plan = bench.text("plan.toml");
-    bench.put(
-        "plan.toml",
-        plan.replace("encoder = \"encoder\"", "encoder = \"weak\""),
-    );
+    let weak = plan.replace("encoder = \"encoder\"", "encoder = \"weak\"");
+    bench.put("plan.toml", weak);
     bench.typed("reproduce @plan.toml").expect_code(1);
     ranks_nothing("made/index.html");
     let table = bench.text("made/tables/table-1.txt");
@@ -814,15 +753,12 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert!(lines.any(|line| line.starts_with(sentence)), "{table}");
 
     // The built-in encoder ranks the same edits. An encoder whose run folder has no report ranks nothing.
-    let ranked = bench
-        .run("eval @first --encoder builtin --repeats 2")
-        .stdout;
+    let ranked = "eval @first --encoder builtin --repeats 2";
+    let ranked = bench.run(ranked).stdout;
     // Novelties with few items get separate tables below, which may be unranked.
     let first = ranked.lines().next().expect("a table");
-    assert!(
-        !first.contains(sentence) && ranked.starts_with("semantic"),
-        "{ranked}"
-    );
+    let is_ranked = !first.contains(sentence) && ranked.starts_with("semantic");
+    assert!(is_ranked, "{ranked}");
     let report = bench.path("weak/report.json");
     fs::remove_file(&report).expect("removed");
     eval("", 1).expect_printed("holds no report.json");
@@ -833,41 +769,35 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
 #[test]
 fn items_do_not_change_with_the_seed_of_sampling() {
     let bench = Bench::open();
-    let (zero, one) = (
-        bench.edits("zero", &["--seed", "0"]),
-        bench.edits("one", &["--seed", "1"]),
-    );
-    let files = |folder: &Path| {
-        let mut files: Vec<Vec<u8>> = files_with_extension(&folder.join("data/items"), "parquet")
-            .iter()
-            .map(|path| fs::read(path).expect("a shard"))
-            .collect();
-        files.sort();
-        files
+    bench.edits("zero", "--seed 0");
+    bench.edits("one", "--seed 1");
+    let shards = |folder: &str| {
+        let items = bench.path(folder).join("data/items");
+        files_with_extension(&items, "parquet").len()
     };
     let read =
         |folder: &str| -> (Vec<ItemRow>, Vec<EditRow>) { (bench.rows(folder), bench.rows(folder)) };
     let ((items, first), (same, second)) = (read("zero"), read("one"));
     assert_eq!(items, same);
-    assert_eq!(files(&zero).len(), files(&one).len());
+    assert_eq!(shards("zero"), shards("one"));
     for (a, b) in first.iter().zip(&second) {
         assert_eq!(a.id, b.id);
         assert_ne!(a.body_pose, b.body_pose, "another sample of {}", a.id);
     }
     // Two takes of one system: the value of each repeat is that of one of the takes.
-    let error = |edits: &[&Path]| {
-        let scores = bench.scores(edits, &[]);
+    let error = |edits: &str| {
+        let scores = bench.scores(edits, "");
         number_of(&score(&scores, UNPOSED, "Position error (cm)")["mean"])
     };
-    let (a, b, both) = (error(&[&zero]), error(&[&one]), error(&[&zero, &one]));
+    let [a, b, both] = ["@zero", "@one", "@zero @one"].map(error);
     assert!((both - (a + b) / 2.0).abs() < 1e-9, "{a} {b} {both}");
     // Items drawn with another seed differ, and their edits cannot be merged with the first ones.
-    bench.items("others", &["--count", "8", "--seed", "5"]);
-    let others = bench.answers("editor", "others", "elsewhere", &[]);
-    let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
-    assert_has(&refused.stderr, &["different items", "zero", "elsewhere"]);
+    bench.items("others", "--count 8 --seed 5");
+    bench.answers("editor", "others", "elsewhere", "");
+    let refused = bench.eval("@zero @elsewhere", "").refusal();
+    assert_has(&refused, &["different items", "zero", "elsewhere"]);
     // Takes that one command makes equal takes that were made one by one.
-    bench.edits("takes", &["--takes", "2"]);
+    bench.edits("takes", "--takes 2");
     let (_, mut together) = read("takes");
     let mut apart = [first, second].concat();
     apart.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
@@ -875,8 +805,8 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     assert_eq!(together, apart);
     // A random part of the items can be scored.
     let part = |seed: &str| -> String {
-        let limit = ["--items-limit", "5", "--items-seed", seed];
-        let scores = bench.scores(&[&zero], &limit);
+        let limit = format!("--items-limit 5 --items-seed {seed}");
+        let scores = bench.scores("@zero", &limit);
         let row = score(&scores, UNPOSED, "FS");
         assert_eq!(row["n"], 5);
         let protocol = word_of(&row["protocol"]);
@@ -886,7 +816,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     assert_eq!(part("1"), part("1"));
     let parts = BTreeSet::from(["1", "2", "3", "4"].map(part));
     assert!(parts.len() > 1, "{parts:?}");
-    let refused = bench.eval(&[&zero], &["--items-limit", "9"]).refusal();
+    let refused = bench.eval("@zero", "--items-limit 9").refusal();
     assert_has(&refused, &["9 items", "there are 8"]);
 }
 
@@ -897,11 +827,12 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     bench.put("fixed.toml", "fixed_pairs = true\n");
     let (small, more) = (bench.text("small.toml"), "--compose @fixed.toml --steps 4");
     bench.trained("motionrefit", "composed-once", &small, more);
-    let guide = bench.path("guide");
-    let base = bench.edits("base", &[]);
-    let full = bench.edits("full", &["--coordinator", arg(&guide)]);
-    let without = bench.answers("composed-once", "items", "without", &[]);
-    let scores = bench.scores(&[&full, &base, &without], &[]);
+    bench.edits("base", "");
+    bench.edits("full", "--coordinator @guide");
+    bench.answers("composed-once", "items", "without", "");
+    let scores = bench.scores("@full @base @without", "--coordinator @guide");
+    let protocol = word_of(&score(&scores, "Real Data", "FS")["protocol"]);
+    assert_has(protocol, &["; coordinator "]);
     for system in [
         "Real Data",
         "Identity",
@@ -912,22 +843,15 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
         score(&scores, system, "FS");
     }
 
-    let named = |run: &str, out: &str, more: &[&str]| {
-        let args = [&["--name", "ours"], more].concat();
-        bench.answers(run, "items", out, &args)
-    };
-    let ours = named("editor", "ours", &[]);
+    bench.edits("ours", "--name ours");
+    bench.answers("composed-once", "items", "weights", "--name ours");
+    bench.edits("settings", "--name ours --guidance 3");
     for (other, what) in [
-        (
-            named("composed-once", "other-weights", &[]),
-            "two checkpoints",
-        ),
-        (
-            named("editor", "other-settings", &["--guidance", "3"]),
-            "two settings",
-        ),
+        ("@weights", "two checkpoints"),
+        ("@settings", "two settings"),
     ] {
-        let refused = bench.eval(&[&ours, &other], &[]).expect_refused(what);
+        let both = format!("@ours {other}");
+        let refused = bench.eval(&both, "").expect_refused(what);
         refused.expect_said("--name");
     }
 }

@@ -56,9 +56,8 @@ struct Shown {
 /// Cells of a line of a table, without the marks of the best values.
 fn unmarked(line: &str) -> Vec<String> {
     let cells = cells(line).into_iter();
-    cells
-        .map(|cell| cell.trim_matches('*').to_owned())
-        .collect()
+    let unmarked = cells.map(|cell| cell.trim_matches('*').to_owned());
+    unmarked.collect()
 }
 
 /// Tables between `<!-- tables/FILE.md -->`, or `<!-- tables/FILE.md of PLAN -->`, and `<!-- end -->`.
@@ -181,22 +180,16 @@ fn verdicts_of_the_results_quote_their_tables() {
     }
     // The paragraph of README.md that links to the results quotes them too.
     let front = read("README.md");
-    let headline = front
-        .split("\n\n")
-        .find(|text| text.contains("(eval/RESULTS.md)"));
-    check_quotes(
-        headline.expect("the front page names the results"),
-        &PAGES[0],
-    );
+    let mut paragraphs = front.split("\n\n");
+    let headline = paragraphs.find(|text| text.contains("(eval/RESULTS.md)"));
+    let headline = headline.expect("the front page names the results");
+    check_quotes(headline, &PAGES[0]);
 }
 
 fn check_quotes(text: &str, page: &Page) {
     let tables = shown(&read(page.file), page.plan);
-    let known: Vec<String> = tables
-        .into_iter()
-        .flat_map(|table| table.rows)
-        .flatten()
-        .collect();
+    let rows = tables.into_iter().flat_map(|table| table.rows);
+    let known: Vec<String> = rows.flatten().collect();
     let is_number = |c: char| c.is_ascii_digit() || c == '.';
     let mut quoted = 0;
     for word in text.split(|c: char| !is_number(c)) {

@@ -2,38 +2,35 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::path::PathBuf;
 
 use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::{MotionId, Split};
 use pickle::npz::Archive;
 use pipeline::export::Layout;
 use serde_json::Value;
-use tempfile::TempDir;
 
 use crate::util::{
-    arg, command, commit, damage, dataset_of, exported, files_with_extension, ingested, motions_of,
-    name_of, put, real_data, rows_of, stance, text_of, typed, typed_with,
+    Folder, arg, assert_has, commit, damage, files_with_extension, kill_once, motions_of, name_of,
+    put, real_data, stem_of, unpack,
 };
 
-/// A dataset of the corpus in a temporary folder, and its rows by id.
-fn dataset(clips: usize) -> (TempDir, PathBuf, BTreeMap<String, MotionRow>) {
-    let (dir, dataset) = dataset_of(clips, &[]);
-    let rows = motions_of(&dataset);
-    (dir, dataset, rows)
+/// A folder with a corpus and the dataset of it, and the rows of the dataset by id.
+fn dataset(clips: usize) -> (Folder, BTreeMap<String, MotionRow>) {
+    let dir = Folder::of_dataset(clips);
+    let rows = motions_of(&dir.path("dataset"));
+    (dir, rows)
 }
 
 /// Ingests a folder into a dataset beside it, and returns its rows by id.
-fn again(source: &Path, name: &str) -> BTreeMap<String, MotionRow> {
-    let out = source.with_file_name(name);
-    ingested(source, &out, &[]);
-    motions_of(&out)
+fn again(dir: &Folder, source: &str, name: &str) -> BTreeMap<String, MotionRow> {
+    dir.run(&format!("ingest @{source} --out @{name}"));
+    motions_of(&dir.path(name))
 }
 
 #[test]
 fn a_condition_chooses_the_clips_of_every_layout_and_a_mistaken_one_is_refused() {
-    let (dir, dataset, rows) = dataset(12);
+    let (dir, rows) = dataset(12);
     let mut frames: Vec<i32> = rows.values().map(|row| row.n_frames).collect();
     frames.sort_unstable();
     let middle = frames[6];
@@ -41,37 +38,36 @@ fn a_condition_chooses_the_clips_of_every_layout_and_a_mistaken_one_is_refused()
     let is_chosen = |row: &&MotionRow| row.split == Split::Train && row.n_frames >= middle;
     let expected = rows.values().filter(is_chosen).count();
     assert!(0 < expected && expected < rows.len(), "{expected}");
-    let none = dir.path().join("none");
     // All layouts except `motionfix`, which holds pairs; this dataset has none.
     let layouts = Layout::ALL.map(Layout::as_str).into_iter();
     for layout in layouts.filter(|layout| *layout != "motionfix") {
-        let out = dir.path().join(layout);
-        let said = exported(&dataset, layout, &out, &["--where", &condition]);
+        let export = format!("export @dataset --to {layout} --where");
+        let chosen = format!("{export} \"{condition}\" --out @{layout}");
+        let said: Value = dir.json(&chosen);
         assert_eq!(said["clips"], expected, "{layout}");
-        let nobody = ["--where", "style = 'nobody walks so'"];
-        let line = "export {} --to {} --out {}";
-        typed_with(line, &[&dataset, &layout, &none], &nobody).expect_refused("no clip of");
+        let nobody = format!("{export} \"style = 'nobody walks so'\" --out @none");
+        dir.refused(&nobody, "no clip of");
     }
     let columns = "there is no column splitt (was split meant?); there are id, split";
     for (condition, said) in [
         ("splitt = 'train'", columns),
         ("split = 'train' or", "Expected: an expression"),
     ] {
-        let line = "export {} --to bvh --where {} --out {}";
-        let ran = typed(line, &[&dataset, &condition, &none]).expect_code(2);
-        ran.expect_said(said);
+        let line = format!("export @dataset --to bvh --where \"{condition}\" --out @none");
+        let ran = dir.typed(&line);
+        ran.expect_code(2).expect_said(said);
     }
-    assert!(!none.exists());
-    let files = files_with_extension(&dir.path().join("bvh"), "bvh");
-    assert_eq!(files.len(), expected);
-    let archives = files_with_extension(&dir.path().join("amass"), "npz");
-    assert_eq!(archives.len(), expected);
+    assert!(!dir.path("none").exists());
+    for (layout, end) in [("bvh", "bvh"), ("amass", "npz")] {
+        let files = files_with_extension(&dir.path(layout), end);
+        assert_eq!(files.len(), expected, "{layout}");
+    }
 }
 
 /// Ids that no path gives: of a person in a file, a crop, another rate, the ending of AMASS, and a mirrored copy.
 #[test]
 fn clips_keep_their_ids_and_originals_through_exports_of_files() {
-    let (dir, dataset, rows) = dataset(6);
+    let (dir, rows) = dataset(6);
     let names = [
         "take#anna",
         "take#anna~m",
@@ -86,6 +82,7 @@ fn clips_keep_their_ids_and_originals_through_exports_of_files() {
     }
     named[1].mirrored_of = Some(names[0].to_owned());
     named[1].split = named[0].split;
+    let dataset = dir.path("dataset");
     commit(&dataset, &named, |row| row.split, "named");
     let told = |rows: BTreeMap<String, MotionRow>| -> Vec<(String, Option<String>, Split)> {
         let rows = rows.into_iter();
@@ -95,37 +92,32 @@ fn clips_keep_their_ids_and_originals_through_exports_of_files() {
     let expected = told(motions_of(&dataset));
     assert_eq!(expected.len(), names.len());
     for layout in ["bvh", "gltf", "amass"] {
-        let out = dir.path().join(layout);
-        exported(&dataset, layout, &out, &[]);
+        dir.run(&format!("export @dataset --to {layout} --out @{layout}"));
         let name = format!("{layout}-again");
-        assert_eq!(told(again(&out, &name)), expected, "{layout}");
+        let found = again(&dir, layout, &name);
+        assert_eq!(told(found), expected, "{layout}");
         // The clips of the dataset are found again.
-        let grown = ingested(&out, &dir.path().join(&name), &[]);
+        let grown: Value = dir.json(&format!("ingest @{layout} --out @{name}"));
         assert_eq!(grown["growth"]["kept"], names.len(), "{grown}");
         assert_eq!(grown["growth"]["new"], 0, "{grown}");
     }
 
     // An id that two files state is that of the first, and the other is said to be unused.
-    let bvh = dir.path().join("bvh");
     for ending in ["bvh", "stance.json"] {
-        std::fs::copy(
-            bvh.join(format!("a_b.{ending}")),
-            bvh.join(format!("copy.{ending}")),
-        )
-        .expect("copied");
+        let [file, copy] = ["a_b", "copy"].map(|name| dir.path(&format!("bvh/{name}.{ending}")));
+        std::fs::copy(file, copy).expect("copied");
     }
-    let twice = dir.path().join("twice");
-    let done = ingested(&bvh, &twice, &["--allow-quarantine", "0"]);
+    let done: Value = dir.json("ingest @bvh --out @twice --allow-quarantine 0");
     let problems = done["label_problems"].to_string();
     assert!(problems.contains("another clip has it"), "{done}");
-    let ids: BTreeSet<String> = motions_of(&twice).into_keys().collect();
+    let ids: BTreeSet<String> = motions_of(&dir.path("twice")).into_keys().collect();
     assert_eq!(ids.len(), names.len() + 1);
     assert!(names.iter().all(|name| ids.contains(*name)), "{ids:?}");
 }
 
 #[test]
 fn exports_have_licences_captions_and_what_other_tools_read() {
-    let (dir, dataset, rows) = dataset(6);
+    let (dir, rows) = dataset(6);
     let license = rows.values().next().expect("a clip").license.clone();
     let license = license.expect("the corpus states its licence");
     let captions = rows.values().flat_map(|row| &row.captions);
@@ -135,10 +127,9 @@ fn exports_have_licences_captions_and_what_other_tools_read() {
     let of_files = ["amass", "bvh", "gltf", "stance"].map(|layout| (layout, "json"));
     let shards = [("webdataset", "tar")];
     for (layout, extension) in of_files.into_iter().chain(shards) {
-        let out = dir.path().join(layout);
-        exported(&dataset, layout, &out, &[]);
+        dir.run(&format!("export @dataset --to {layout} --out @{layout}"));
         let read = |file: &PathBuf| std::fs::read(file).expect("written");
-        let files = files_with_extension(&out, extension);
+        let files = files_with_extension(&dir.path(layout), extension);
         let bytes: Vec<u8> = files.iter().flat_map(read).collect();
         let text = String::from_utf8_lossy(&bytes);
         let tags = text.matches(&license).count();
@@ -147,14 +138,13 @@ fn exports_have_licences_captions_and_what_other_tools_read() {
             assert!(text.contains(caption), "{layout}: {caption}");
         }
     }
-    let out = dir.path().join("humanml3d");
-    exported(&dataset, "humanml3d", &out, &[]);
-    let ids = text_of(out.join("ids.csv"));
+    dir.run("export @dataset --to humanml3d --out @humanml3d");
+    let ids = dir.text("humanml3d/ids.csv");
     assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
-    let texts = files_with_extension(&out.join("texts"), "txt");
+    let texts = files_with_extension(&dir.path("humanml3d/texts"), "txt");
     assert_eq!(texts.len(), rows.len());
 
-    for file in files_with_extension(&dir.path().join("amass"), "npz") {
+    for file in files_with_extension(&dir.path("amass"), "npz") {
         let bytes = std::fs::read(&file).expect("written");
         let mut archive = Archive::open(Cursor::new(&bytes)).expect("an archive");
         let mut shape = |name: &str| archive.numbers(name).expect("numbers").shape;
@@ -174,42 +164,39 @@ fn exports_have_licences_captions_and_what_other_tools_read() {
     }
 
     // A motion of a file is drawn by its name.
-    let file = files_with_extension(&dir.path().join("gltf"), "glb").remove(0);
-    let picture = dir.path().join("strip.svg");
+    let file = files_with_extension(&dir.path("gltf"), "glb").remove(0);
     let draw = |name: &str| {
         let motion = format!("{}#{name}", arg(&file));
-        stance(&["render", &motion, "--out", arg(&picture)])
+        dir.typed_with("render --out @strip.svg", &[&motion])
     };
     draw("motion").expect_code(0);
-    let svg = text_of(&picture);
+    let svg = dir.text("strip.svg");
     assert!(svg.contains("#motion"), "{svg:.300}");
     draw("dance").expect_refused("no motion \"dance\"; its motions are motion");
 }
 
 #[test]
 fn damaged_motions_do_not_matter_to_metadata() {
-    let (dir, dataset, rows) = dataset(12);
-    let stats = |code| stance(&["stats", arg(&dataset)]).expect_code(code).stdout;
-    let before = stats(0);
-    let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
+    let (dir, rows) = dataset(12);
+    let stats = || dir.run("stats @dataset").stdout;
+    let before = stats();
+    let shards = files_with_extension(&dir.path("dataset/data/motions"), "parquet");
     let size = |path: &PathBuf| std::fs::metadata(path).expect("a shard").len();
     let shard = shards.iter().max_by_key(|path| size(path)).expect("shards");
     // Most bytes of a shard are poses, so this damages poses.
     damage(shard);
 
-    stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert_eq!(stats(0), before);
-    stance(&["inspect", arg(&dataset)]).expect_code(0);
+    dir.typed("verify @dataset").expect_code(1);
+    assert_eq!(stats(), before);
+    dir.run("inspect @dataset");
     let mut damaged = Vec::new();
     for (number, id) in rows.keys().enumerate() {
-        let condition = format!("id = '{id}'");
-        let out = dir.path().join(number.to_string());
-        let line = "export {} --to bvh --where {} --out {}";
-        let exported = typed(line, &[&dataset, &condition, &out]);
-        let shown = stance(&["inspect", arg(&dataset), "--clip", id]);
+        let line = format!("export @dataset --to bvh --where \"id = '{id}'\" --out @{number}");
+        let exported = dir.typed(&line);
+        let shown = dir.typed(&format!("inspect @dataset --clip '{id}'"));
         assert_eq!(exported.code, shown.code, "{id}");
         if exported.code != 0 {
-            assert!(!out.exists());
+            assert!(!dir.path(&number.to_string()).exists());
             damaged.push(id);
         }
     }
@@ -229,21 +216,20 @@ fn labels(rows: &BTreeMap<String, MotionRow>) -> Vec<String> {
 
 #[test]
 fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_its_export() {
-    let (dir, dataset, rows) = dataset(12);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let (dir, rows) = dataset(12);
+    dir.run("masks @dataset");
     let of_train = |row: &&MotionRow| row.split == Split::Train;
     let train: Vec<&MotionRow> = rows.values().filter(of_train).take(3).collect();
-    let list = dir.path().join("pairs.csv");
     // One styled motion has two originals.
     let line = |original: &MotionRow| {
         let (styled, original) = (&train[0].id, &original.id);
         format!("{styled},{original},old,walk as an old person\n")
     };
-    put(&list, line(train[1]) + &line(train[2]));
-    stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
+    dir.put("pairs.csv", line(train[1]) + &line(train[2]));
+    dir.run("pairs @dataset --csv @pairs.csv");
 
-    let said: Value = stance(&["--json", "stats", arg(&dataset)]).done();
-    let mut masks: Vec<MaskRow> = rows_of(&dataset);
+    let said: Value = dir.json("stats @dataset");
+    let mut masks: Vec<MaskRow> = dir.rows("dataset");
     let clips: BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
     assert!(clips.len() > 1 && masks.len() > clips.len());
     let average = masks.len() as f64 / clips.len() as f64;
@@ -251,24 +237,25 @@ fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_it
     assert!((said["masks_per_clip"].as_f64().expect("a number") - average).abs() < 1e-9);
     assert_eq!(said["pairs"]["style"], 2);
     assert_eq!(said["pair_styles"]["old"], 2);
-    let text = stance(&["stats", arg(&dataset)]).expect_code(0);
-    text.expect_printed(&format!("{average:.1} on average"));
-    text.expect_printed("style of edit");
+    let average = format!("{average:.1} on average");
+    let text = dir.run("stats @dataset").stdout;
+    assert_has(&text, &[&average, "style of edit"]);
 
     // Fields that the annotation tool fills.
     let own = Some("own".to_owned());
     masks[0].accepted_by.clone_from(&own);
-    let mut pairs: Vec<PairRow> = rows_of(&dataset);
+    let mut pairs: Vec<PairRow> = dir.rows("dataset");
     pairs[0].edit_type = Some("speed".to_owned());
     pairs[0].accepted_by = own;
+    let dataset = dir.path("dataset");
     commit(&dataset, &masks, |row| row.split, "masks");
     commit(&dataset, &pairs, |row| row.split, "pairs");
 
     // A dataset of this dataset has the same labels.
-    let second = again(&dataset, "second");
+    let second = again(&dir, "dataset", "second");
     assert_eq!(labels(&second), labels(&rows));
     let masks = |name: &str| {
-        let rows = rows_of::<MaskRow>(&dir.path().join(name)).into_iter();
+        let rows = dir.rows::<MaskRow>(name).into_iter();
         let made = rows.map(|mask| {
             let of = (mask.motion_id.to_string(), mask.parts);
             let joints = (mask.hard_joints, mask.soft_joints);
@@ -280,7 +267,7 @@ fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_it
     assert!(!masks("dataset").is_empty());
     assert_eq!(masks("second"), masks("dataset"));
     let pairs = |name: &str| {
-        let rows = rows_of::<PairRow>(&dir.path().join(name)).into_iter();
+        let rows = dir.rows::<PairRow>(name).into_iter();
         let made = rows.map(|pair| {
             let ends = (pair.source_id, pair.target_id);
             let more = (pair.edit_type, pair.accepted_by);
@@ -292,30 +279,23 @@ fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_it
     assert_eq!(pairs("second"), pairs("dataset"));
 
     // A WebDataset is read again, packed or not.
-    let packed = dir.path().join("packed");
-    exported(&dataset, "webdataset", &packed, &[]);
-    assert_eq!(labels(&again(&packed, "of-packed")), labels(&rows));
+    dir.run("export @dataset --to webdataset --out @packed");
+    assert_eq!(labels(&again(&dir, "packed", "of-packed")), labels(&rows));
 
-    let unpacked = dir.path().join("unpacked");
-    for shard in files_with_extension(&packed, "tar") {
-        let into = unpacked.join(shard.file_stem().expect("a name"));
-        std::fs::create_dir_all(&into).expect("made");
-        let status = std::process::Command::new("tar")
-            .args(["-xf", arg(&shard), "-C", arg(&into)])
-            .status()
-            .expect("tar runs");
-        assert!(status.success());
+    for shard in files_with_extension(&dir.path("packed"), "tar") {
+        unpack(&shard, &dir.path("unpacked").join(stem_of(&shard)));
     }
-    assert_eq!(labels(&again(&unpacked, "of-unpacked")), labels(&rows));
+    let found = again(&dir, "unpacked", "of-unpacked");
+    assert_eq!(labels(&found), labels(&rows));
 
     // A file that differs from its manifest is not read.
     let shard = files_with_extension(&dataset.join("data/motions"), "parquet").remove(0);
     let mut bytes = std::fs::read(&shard).expect("a shard");
     bytes.push(0);
     put(&shard, bytes);
-    let damaged = dir.path().join("damaged");
-    let ran = typed("--json ingest {} --out {}", &[&dataset, &damaged]).expect_code(3);
-    assert_eq!(ran.json::<Value>()["codes"]["E-DATASET-HASH"], 1);
+    let ran = dir.typed("--json ingest @dataset --out @damaged");
+    let done: Value = ran.expect_code(3).json();
+    assert_eq!(done["codes"]["E-DATASET-HASH"], 1);
 }
 
 #[test]
@@ -324,26 +304,25 @@ fn markers_of_captures_have_a_licence_and_a_dataset_of_their_dataset_keeps_them(
     let Some(data) = real_data(name) else {
         return;
     };
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let [source, first, second] = ["in", "first", "second"].map(|name| dir.path().join(name));
+    let dir = Folder::empty();
     let captures = files_with_extension(&data.join("c3d"), "c3d");
     for (number, path) in captures.iter().enumerate() {
         let bytes = std::fs::read(path).expect("a capture");
-        put(source.join(format!("{number}.c3d")), bytes);
+        dir.put(&format!("in/{number}.c3d"), bytes);
     }
     let license = "Creative Commons Attribution 4.0 International\n";
-    put(source.join("COPYING"), license);
-    for (source, out) in [(&source, &first), (&first, &second)] {
-        ingested(source, out, &["--allow-quarantine", "100%"]);
+    dir.put("in/COPYING", license);
+    for of in ["@in --out @first", "@first --out @second"] {
+        dir.run(&format!("ingest {of} --allow-quarantine 100%"));
     }
-    let markers: Vec<MarkerRow> = rows_of(&first);
+    let markers: Vec<MarkerRow> = dir.rows("first");
     assert!(!markers.is_empty());
     for row in markers {
         assert_eq!(row.license.as_deref(), Some("CC-BY-4.0"));
     }
-    let [before, after] = [&first, &second].map(|dataset| {
-        let solved = motions_of(dataset);
-        let rows = rows_of::<MarkerRow>(dataset).into_iter();
+    let [before, after] = ["first", "second"].map(|dataset| {
+        let solved = motions_of(&dir.path(dataset));
+        let rows = dir.rows::<MarkerRow>(dataset).into_iter();
         let of_motions = rows.filter(|row| solved.contains_key(row.id.as_str()));
         let markers = of_motions.map(|row| {
             let positions = (row.positions, row.residuals);
@@ -357,34 +336,28 @@ fn markers_of_captures_have_a_licence_and_a_dataset_of_their_dataset_keeps_them(
 
 #[test]
 fn captions_without_tags_are_said_before_anything_is_written() {
-    let (dir, dataset, rows) = dataset(12);
+    let (dir, rows) = dataset(12);
     let stated = rows.values().flat_map(|row| row.stated_captions());
     let untagged = stated.filter(|said| said.tokens.is_empty()).count();
     assert!(untagged > 0);
-    let export = |layout: &str, out: &Path| {
-        stance(&["export", arg(&dataset), "--to", layout, "--out", arg(out)])
-    };
     let said = format!("{untagged} captions have no tokens with part-of-speech tags");
     // The folder cannot be created, and the warning is still printed.
-    let file = dir.path().join("file");
-    put(&file, "");
+    dir.put("file", "");
     for layout in ["humanml3d", "humanml3d-272", "babel-272", "hy-motion"] {
-        export(layout, &file.join("out")).expect_refused(&said);
+        let export = format!("export @dataset --to {layout} --out @file/out");
+        dir.refused(&export, &said);
     }
     // Planning the export for several processes prints the warning too.
-    let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
-    let line = "stage plan export {} --to humanml3d --into {} --out {}";
-    let planned = typed(line, &[&dataset, &out, &plan]).expect_code(0);
-    planned.expect_said(&said);
-    let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
+    let planned = "stage plan export @dataset --to humanml3d --into @out --out @plan";
+    dir.run(planned).expect_said(&said);
+    let done = dir.run("export @dataset --to bvh --out @bvh");
     assert!(!done.stderr.contains("part-of-speech"), "{}", done.stderr);
 }
 
 #[test]
 fn what_a_killed_export_left_is_removed_by_the_next_one() {
-    let (dir, dataset, _) = dataset(60);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
-    let home = dir.path().join("exports");
+    let dir = Folder::of_masks(60);
+    let home = dir.path("exports");
     std::fs::create_dir(&home).expect("made");
     let partial = || {
         let entries = std::fs::read_dir(&home).expect("listed");
@@ -392,31 +365,20 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
         names.filter(|name| name.ends_with(".partial")).count()
     };
     for number in 0..20 {
-        let out = home.join(number.to_string());
-        let mut child = command(&["export", arg(&dataset), "--to", "gltf", "--out", arg(&out)])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("stance starts");
-        while partial() == 0 && child.try_wait().expect("a state").is_none() {
-            std::hint::spin_loop();
-        }
-        child.kill().expect("killed or over");
-        child.wait().expect("an end");
+        let line = format!("export @dataset --to gltf --out @exports/{number}");
+        kill_once(dir.started(&line, &[]), || partial() > 0);
         if partial() > 0 {
             break;
         }
     }
     assert!(partial() > 0, "every export was faster than the kill");
-    exported(&dataset, "bvh", &home.join("out"), &[]);
+    dir.run("export @dataset --to bvh --out @exports/out");
     assert_eq!(partial(), 0);
     // An export of items removes such a folder too.
-    let dead = home.join(".stance.0-0.partial");
-    std::fs::create_dir_all(dead.join("new")).expect("made");
-    put(dead.join("LOCK"), "");
-    let (items, out) = (dir.path().join("items"), home.join("items"));
-    let line = "items {} --split train --count 4 --out {}";
-    typed(line, &[&dataset, &items]).expect_code(0);
-    typed("items export {} --out {}", &[&items, &out]).expect_code(0);
+    let dead = "exports/.stance.0-0.partial";
+    std::fs::create_dir_all(dir.path(dead).join("new")).expect("made");
+    dir.put(&format!("{dead}/LOCK"), "");
+    dir.run("items @dataset --split train --count 4 --out @items");
+    dir.run("items export @items --out @exports/items");
     assert_eq!(partial(), 0);
 }

@@ -15,43 +15,31 @@ use parquet::arrow::ArrowWriter;
 use serde_json::Value;
 
 use crate::util::{
-    self, arg, assert_counted, assert_has, assert_quarantined, assert_tells, len_of, motions_of,
-    rows_of, skipped_of, stance, typed, typed_with,
+    self, Folder, arg, assert_has, assert_quarantined, assert_tells, len_of, motions_of, rows_of,
+    skipped_of, stance,
 };
 
-/// A temporary folder, and the path of a folder for sources in it.
-pub(crate) fn place() -> (tempfile::TempDir, PathBuf) {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let source = dir.path().join("source");
-    (dir, source)
-}
-
-pub(crate) fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
-    util::put(folder.join(name), bytes);
-}
-
-/// Ingests a folder, compares the numbers of ingested, quarantined and skipped items with those given, verifies the
-/// dataset, and returns the document and the dataset.
-pub(crate) fn ingested(source: &Path, more: &[&str], counts: &[u64]) -> (Value, PathBuf) {
-    let out = source.with_extension("dataset");
-    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+/// Ingests a folder as the dataset `SOURCE-dataset`, compares the numbers of ingested, quarantined and skipped items
+/// with those given, verifies the dataset, and returns the document and the dataset.
+pub(crate) fn ingested(dir: &Folder, source: &str, more: &str, counts: &[u64]) -> (Value, PathBuf) {
     let is_whole = counts.get(1).is_none_or(|quarantined| *quarantined == 0);
-    let done: Value = ran.expect_code(if is_whole { 0 } else { 3 }).json();
-    assert_counted(&done);
+    let line = format!("@{source} --out @{source}-dataset {more}");
+    let done = dir.ingest(&line, if is_whole { 0 } else { 3 });
     let codes = done["codes"].as_object().expect("a map").values();
     let by_code = codes.filter_map(Value::as_u64).sum::<u64>();
     assert_eq!(done["quarantined"], by_code, "{done}");
     for (name, count) in ["ingested", "quarantined", "skipped"].iter().zip(counts) {
         assert_eq!(done[name], *count, "{name}: {done}");
     }
-    stance(&["verify", arg(&out)]).expect_code(0);
-    (done, out)
+    dir.run(&format!("verify @{source}-dataset"));
+    (done, dir.path(&format!("{source}-dataset")))
 }
 
-/// A list that puts all clips into one split, for sources that show one motion several times.
-pub(crate) fn all_in_train(folder: &Path) -> PathBuf {
-    put(folder, "splits.csv", "clip,split\n*,train\n");
-    folder.join("splits.csv")
+/// Writes a list that puts all clips into one split, for sources that show one motion several times. Returns the option
+/// that names it.
+pub(crate) fn all_in_train(dir: &Folder) -> &'static str {
+    dir.put("splits.csv", "clip,split\n*,train\n");
+    "--splits @splits.csv"
 }
 
 /// Output of `inspect` for a clip.
@@ -247,28 +235,30 @@ fn seed_metadata() -> Vec<u8> {
 
 #[test]
 fn bones_seed_is_ingested_with_captions_spans_and_splits() {
-    let (_dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(241, 120.0);
     assert_eq!(soma().len(), 78);
     let text = seed_walk(241);
     let name = |name: &str| format!("soma_uniform/bvh/230711/{name}.bvh");
     let (cut, wrong) = (name("cut_001__A425"), name("wrong_001__A425"));
     let renamed = text.replace("JOINT LeftHandThumb1\n", "JOINT LeftShin\n");
-    put(&source, &name("walk_001__A425"), &text);
-    put(&source, &name("walk_001__A425_M"), &text);
-    put(&source, &cut, &text[..text.len() * 2 / 3]);
-    put(&source, &wrong, renamed);
+    for whole in ["walk_001__A425", "walk_001__A425_M"] {
+        dir.put(&format!("source/{}", name(whole)), &text);
+    }
+    dir.put(&format!("source/{cut}"), &text[..text.len() * 2 / 3]);
+    dir.put(&format!("source/{wrong}"), renamed);
     let table = "metadata/seed_metadata_v004.parquet";
-    put(&source, table, seed_metadata());
+    dir.put(&format!("source/{table}"), seed_metadata());
     let labels = r#"{"filename": "walk_001__A425", "overview_description": "A walk.", "events": [
         {"start_time": 0.0, "end_time": 1.5, "description": "A person walks forward."},
         {"start_time": 1.5, "end_time": 2.0, "description": "A person stops."}]}"#;
     let labels = labels.replace('\n', " ") + "\nno JSON\n";
     let labels_file = "metadata/seed_metadata_v002_temporal_labels.jsonl";
-    put(&source, labels_file, labels);
+    dir.put(&format!("source/{labels_file}"), labels);
     let robot = "g1/csv/230711/walk_001__A425.csv";
-    put(&source, robot, "Frame,root_translateX,root_translateY\n");
-    let (done, out) = ingested(&source, &[], &[2, 3, 2]);
+    let head = "Frame,root_translateX,root_translateY\n";
+    dir.put(&format!("source/{robot}"), head);
+    let (done, out) = ingested(&dir, "source", "", &[2, 3, 2]);
     assert_eq!(len_of(&done["label_problems"]), 0, "{done}");
     let id = "soma_uniform/bvh/230711/walk_001__A425";
     let rows = motions_of(&out);
@@ -278,18 +268,14 @@ fn bones_seed_is_ingested_with_captions_spans_and_splits() {
     assert_eq!(walk.action.as_deref(), Some("walking"));
     assert_eq!(walk.subject.as_deref(), Some("A425"));
     let captions = walk.captions.iter();
-    let captions: Vec<(&str, f32, f32)> = captions
-        .map(|caption| (caption.text.as_str(), caption.from_s, caption.to_s))
-        .collect();
-    assert_eq!(
-        captions,
-        [
-            ("A person walks.", 0.0, 0.0),
-            ("A walk.", 0.0, 0.0),
-            ("A person walks forward.", 0.0, 1.5),
-            ("A person stops.", 1.5, 2.0),
-        ]
-    );
+    let captions = captions.map(|said| (said.text.as_str(), said.from_s, said.to_s));
+    let expected = [
+        ("A person walks.", 0.0, 0.0),
+        ("A walk.", 0.0, 0.0),
+        ("A person walks forward.", 0.0, 1.5),
+        ("A person stops.", 1.5, 2.0),
+    ];
+    assert_eq!(captions.collect::<Vec<_>>(), expected);
     let shown = inspected(&out, id).to_string();
     assert_has(&shown, &["A person stops.", "skeleton map soma"]);
     let expected = [
@@ -304,8 +290,8 @@ fn bones_seed_is_ingested_with_captions_spans_and_splits() {
 
     // Labels that change are read again; the motions stay.
     let labels = "{\"filename\": \"walk_001__A425\", \"overview_description\": \"A stroll.\"}\n";
-    put(&source, labels_file, labels);
-    let (_, out) = ingested(&source, &[], &[2, 2]);
+    dir.put(&format!("source/{labels_file}"), labels);
+    let (_, out) = ingested(&dir, "source", "", &[2, 2]);
     let mut captions = motions_of(&out).into_values().flat_map(|row| row.captions);
     assert!(captions.any(|said| said.text == "A stroll."));
 }
@@ -334,12 +320,13 @@ fn snapmogen_and_xsens_files_are_ingested() {
             chain(&mut xsens, above, side, right, limb);
         }
     }
-    let (_dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(80, 60.0);
     for (name, rig) in [("snapmogen.bvh", snapmogen), ("xsens.bvh", xsens)] {
-        put(&source, name, bvh(100.0, &rig, &poses, "0.016666667"));
+        let text = bvh(100.0, &rig, &poses, "0.016666667");
+        dir.put(&format!("source/{name}"), text);
     }
-    let (_, out) = ingested(&source, &[], &[2]);
+    let (_, out) = ingested(&dir, "source", "", &[2]);
     for (id, row) in motions_of(&out) {
         assert_shows(&row, &poses, 3);
         assert_tells(&inspected(&out, &id), &format!("skeleton map {id}"));
@@ -363,20 +350,20 @@ pub(crate) fn motion_x(poses: &[Pose]) -> Vec<u8> {
 
 #[test]
 fn motion_x_is_ingested_with_captions_and_splits() {
-    let (_dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(61, 30.0);
     let good = motion_x(&poses);
     let mut nan = good.clone();
     let at = nan.len() - 4 * 322 + 8;
     nan[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
-    let motions = source.join("motion_data/smplx_322/idea400/subset_0000");
-    put(&motions, "Walk_clip1.npy", &good);
-    put(&motions, "nan.npy", &nan);
+    let motions = "source/motion_data/smplx_322/idea400/subset_0000";
+    dir.put(&format!("{motions}/Walk_clip1.npy"), &good);
+    dir.put(&format!("{motions}/nan.npy"), &nan);
     let id = "idea400/subset_0000/Walk_clip1";
     let texts = format!("texts/semantic_labels/{id}.txt");
-    put(&source, &texts, "a person walks\n");
-    put(&source, "test.txt", format!("{id}\n"));
-    let (_, out) = ingested(&source, &["--fps", "30"], &[1, 1, 2]);
+    dir.put(&format!("source/{texts}"), "a person walks\n");
+    dir.put("source/test.txt", format!("{id}\n"));
+    let (_, out) = ingested(&dir, "source", "--fps 30", &[1, 1, 2]);
     let rows: Vec<MotionRow> = rows_of(&out);
     assert_shows(&rows[0], &poses, 1);
     assert_eq!(rows[0].split.as_str(), "test");
@@ -385,24 +372,20 @@ fn motion_x_is_ingested_with_captions_and_splits() {
     assert_eq!(row.code, "E-NOT-FINITE");
     assert_eq!(row.byte_offset, Some(at as u64));
     // A single array is recognised too.
-    let ran = stance(&["inspect", arg(&motions.join("Walk_clip1.npy"))]);
-    ran.expect_code(0).expect_printed("motion-x");
+    let ran = dir.run(&format!("inspect @{motions}/Walk_clip1.npy"));
+    ran.expect_printed("motion-x");
 }
 
 #[test]
 fn bvh_is_one_motion_in_any_unit_and_a_wrong_unit_is_refused() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(40, 60.0);
     for (name, per_metre) in [("cm.bvh", 100.0), ("m.bvh", 1.0), ("in.bvh", 39.370_079)] {
-        put(
-            &source,
-            name,
-            bvh(per_metre, &soma(), &poses, "0.016666667"),
-        );
+        let text = bvh(per_metre, &soma(), &poses, "0.016666667");
+        dir.put(&format!("source/{name}"), text);
     }
-    let splits = all_in_train(dir.path());
-    let more = ["--splits", arg(&splits), "--fps", "native"];
-    let (_, out) = ingested(&source, &more, &[3]);
+    let more = format!("{} --fps native", all_in_train(&dir));
+    let (_, out) = ingested(&dir, "source", &more, &[3]);
     for row in rows_of::<MotionRow>(&out) {
         assert_shows(&row, &poses, 1);
     }
@@ -416,8 +399,8 @@ fn bvh_is_one_motion_in_any_unit_and_a_wrong_unit_is_refused() {
         assert_tells(&inspected(&out, id), words);
     }
     fs::remove_dir_all(&out).expect("removed");
-    let more = [&more[..], &["--unit", "cm"]].concat();
-    let (_, out) = ingested(&source, &more, &[2, 1]);
+    let more = format!("{more} --unit cm");
+    let (_, out) = ingested(&dir, "source", &more, &[2, 1]);
     assert_tells(&inspected(&out, "cm"), "unit cm, as --unit says");
     let found = assert_quarantined(&out, &[("m.bvh", "E-UNIT")]);
     assert_has(&found["m.bvh"].reason, &["likely m (1."]);
@@ -425,17 +408,17 @@ fn bvh_is_one_motion_in_any_unit_and_a_wrong_unit_is_refused() {
 
 #[test]
 fn motions_of_robots_are_skipped_as_what_they_are() {
-    let (_dir, source) = place();
+    let dir = Folder::empty();
     let row = format!("0.1,0.0,0.8,0.0,0.0,0.6,0.8{}", ",0.5".repeat(29));
-    put(&source, "lafan1/walk.csv", format!("{row}\n{row}\n"));
+    dir.put("source/lafan1/walk.csv", format!("{row}\n{row}\n"));
     let entries = [("root_pos", 3), ("root_rot", 4), ("dof_pos", 29)].map(|(key, width)| {
-        let array = pickle::Array::from_f32(&[2, width], vec![0.5; 2 * width]);
-        (pickle::Value::text(key), pickle::Value::Array(array.into()))
+        let array = pickle::Value::floats(&[2, width], vec![0.5; 2 * width]);
+        (pickle::Value::text(key), array)
     });
     let gmr = pickle::encode(&pickle::Value::Dict(entries.to_vec()));
-    put(&source, "gmr/walk.pkl", &gmr);
-    put(&source, "walk.bvh", seed_walk(80));
-    let (_, out) = ingested(&source, &[], &[1, 0, 2]);
+    dir.put("source/gmr/walk.pkl", &gmr);
+    dir.put("source/walk.bvh", seed_walk(80));
+    let (_, out) = ingested(&dir, "source", "", &[1, 0, 2]);
     let skipped = skipped_of(&out);
     for (path, words) in [
         ("lafan1/walk.csv", "Unitree G1 robot, 36 columns"),
@@ -447,7 +430,7 @@ fn motions_of_robots_are_skipped_as_what_they_are() {
 
 #[test]
 fn the_up_axis_can_be_named_and_is_doubted_where_nobody_stands() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = Folder::empty();
     let turned = |degrees: f64| {
         let turn = DQuat::from_rotation_x(degrees.to_radians());
         let mut poses = walk(120, 60.0);
@@ -457,40 +440,33 @@ fn the_up_axis_can_be_named_and_is_doubted_where_nobody_stands() {
         }
         bvh(100.0, &soma(), &poses, "0.016667")
     };
-    let source = dir.path().join("files");
-    put(&source, "lying.bvh", turned(90.0));
-    put(&source, "bowing.bvh", turned(50.0));
-    put(&source, "standing.bvh", turned(0.0));
+    dir.put("source/lying.bvh", turned(90.0));
+    dir.put("source/bowing.bvh", turned(50.0));
+    dir.put("source/standing.bvh", turned(0.0));
     // Height of the head above the pelvis on average, and the flags.
-    let read = |name: &str, more: &[&str]| {
-        let out = dir.path().join(name);
-        util::ingested(&source, &out, more);
+    let read = |name: &str, more: &str| {
+        dir.run(&format!("ingest @source --out @{name} {more}"));
+        let rows = motions_of(&dir.path(name));
         let skeleton = Skeleton::smplx_neutral();
         ["lying", "bowing", "standing"].map(|clip| {
-            let row = &motions_of(&out)[clip];
-            let points = skeleton
-                .motion_keypoints(&row.motion().expect("valid"))
-                .points;
-            let rise = points
-                .iter()
-                .map(|joints| joints[15].y - joints[0].y)
-                .sum::<f64>();
+            let row = &rows[clip];
+            let motion = row.motion().expect("valid");
+            let points = skeleton.motion_keypoints(&motion).points;
+            let rise = points.iter().map(|joints| joints[15].y - joints[0].y);
+            let rise = rise.sum::<f64>();
             let is_doubtful = row.quality.flags & FLAG_UP_DOUBTFUL != 0;
             (rise / points.len() as f64, is_doubtful)
         })
     };
     // Of a person who lies, the posture says that another axis is up.
-    let [lying, bowing, standing] = read("guessed", &[]);
+    let [lying, bowing, standing] = read("guessed", "");
     assert!(lying.0 > 0.4 && standing.0 > 0.4, "{lying:?} {standing:?}");
     assert_eq!([lying.1, bowing.1, standing.1], [false, true, false]);
-    let [lying, bowing, standing] = read("named", &["--up", "y"]);
-    assert!(
-        lying.0.abs() < 0.1 && standing.0 > 0.4,
-        "{lying:?} {standing:?}"
-    );
+    let [lying, bowing, standing] = read("named", "--up y");
+    let is_so = lying.0.abs() < 0.1 && standing.0 > 0.4;
+    assert!(is_so, "{lying:?} {standing:?}");
     assert_eq!([lying.1, bowing.1, standing.1], [false; 3]);
-    let line = "ingest {} --out {} --up up";
-    let ran = typed(line, &[&source, &dir.path().join("never")]);
+    let ran = dir.typed("ingest @source --out @never --up up");
     ran.expect_code(2)
         .expect_said("expected x, y, z, -x, -y or -z");
 }
@@ -500,12 +476,12 @@ fn a_skeleton_without_known_names_gives_the_same_motion() {
     let Some(data) = util::real_data("a_skeleton_without_known_names_gives_the_same_motion") else {
         return;
     };
-    let (dir, source) = place();
+    let dir = Folder::empty();
     // Rigs with an extra bone above each hip, at the place of the pelvis.
     let names = ["cmu_12_01_walk", "pfnn_hierarchy", "npybvh_example"];
     for name in names {
         let text = util::text_of(data.join(format!("bvh/other/{name}.bvh")));
-        put(&source, &format!("named/{name}.bvh"), &text);
+        dir.put(&format!("source/named/{name}.bvh"), &text);
         let mut number = 0;
         let renamed = text.lines().map(|line| {
             let Some((indent, kind)) = ["ROOT", "JOINT"].iter().find_map(|kind| {
@@ -518,11 +494,10 @@ fn a_skeleton_without_known_names_gives_the_same_motion() {
             format!("{indent}{kind} j{number}")
         });
         let renamed: Vec<String> = renamed.collect();
-        put(&source, &format!("unnamed/{name}.bvh"), renamed.join("\n"));
+        dir.put(&format!("source/unnamed/{name}.bvh"), renamed.join("\n"));
     }
-    let out = dir.path().join("dataset");
-    util::ingested(&source, &out, &[]);
-    let rows = motions_of(&out);
+    dir.run("ingest @source --out @dataset");
+    let rows = motions_of(&dir.path("dataset"));
     for name in names {
         let of = |folder: &str| rows[&format!("{folder}/{name}")].motion().expect("valid");
         let away = crate::export::apart(&of("named"), &of("unnamed"));

@@ -5,13 +5,13 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Split;
 use datasets_spec::record::{MaskRow, MotionRow};
-use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use crate::util::{
-    Ran, arg, assert_counted, command, corpus, files_with_extension, name_of, put, rows_of, stance,
-    stem_of, text_of, typed,
+    Folder, Ran, arg, assert_counted, command, files_with_extension, manifest_of, name_of, put,
+    rows_of, stance, stem_of, text_of, typed,
 };
 
 /// Runs `ingest --json` with sources as a user types them.
@@ -30,9 +30,9 @@ pub(crate) fn named(name: &str, path: &Path) -> String {
 pub(crate) fn ingest(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str], code: i32) -> Value {
     let done: Value = ran(sources, out, more).expect_code(code).json();
     assert_counted(&done);
-    let dataset = Dataset::open(out).expect("a dataset");
+    let manifest = manifest_of(out);
     for (table, count) in [("quarantine", "quarantined"), ("skipped", "skipped")] {
-        assert_eq!(done[count], dataset.manifest().rows(table, None), "{table}");
+        assert_eq!(done[count], manifest.rows(table, None), "{table}");
     }
     done
 }
@@ -88,22 +88,21 @@ pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     }
 }
 
-/// A corpus in two folders: every other motion file is moved to the second.
-pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
-    let dir = corpus(clips);
-    let (first, second) = (dir.path().join("corpus"), dir.path().join("more"));
+/// A corpus in two folders, every other motion file in the second, and the place of a dataset.
+pub(crate) fn halves(clips: usize) -> (Folder, PathBuf, PathBuf, PathBuf) {
+    let dir = Folder::of_clips(clips);
+    let [first, second, dataset] = ["corpus", "more", "dataset"].map(|name| dir.path(name));
     let files = files(&first);
     let half: Vec<PathBuf> = files.into_iter().skip(1).step_by(2).collect();
     move_files(&half, &second);
-    (dir, first, second)
+    (dir, first, second, dataset)
 }
 
 /// The [`halves`] of a corpus, and a dataset of the first.
-pub(crate) fn begun_with_half(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf, PathBuf) {
-    let (dir, source, more) = halves(clips);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
-    (dir, source, more, dataset)
+pub(crate) fn begun_with_half(clips: usize) -> (Folder, PathBuf, PathBuf, PathBuf) {
+    let halves = halves(clips);
+    ingest(&[&halves.1], &halves.3, &[], 0);
+    halves
 }
 
 /// Accepts every automatic mask in the name of a person, and returns the masks.

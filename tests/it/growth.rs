@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
+use datasets_spec::Split;
 use datasets_spec::record::{MaskRow, MotionRow};
-use datasets_spec::{Dataset, Split};
 use serde_json::{Value, json};
 
 use crate::alike::equal_motions_share_a_split;
@@ -14,8 +14,8 @@ use crate::grown::{
     refused, verified,
 };
 use crate::util::{
-    arg, assert_has, assert_tells, corpus, files_with_extension, len_of, put, root_hash_of,
-    rows_of, stance, typed,
+    Folder, arg, assert_has, assert_tells, files_with_extension, len_of, manifest_of, put,
+    root_hash_of, rows_of, stance, typed,
 };
 
 #[test]
@@ -33,8 +33,8 @@ fn judged_masks_survive_a_file_that_is_added() {
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
     verified(&dataset);
     // Shards without a changed clip were not rewritten.
-    let opened = Dataset::open(&dataset).expect("a dataset");
-    let mut shards = opened.manifest().tables["motions"].iter();
+    let manifest = manifest_of(&dataset);
+    let mut shards = manifest.tables["motions"].iter();
     assert!(shards.any(|file| !file.path.contains(".v")));
     // The new clip gets an automatic mask, and masks by people stay.
     stance(&["masks", arg(&dataset)]).expect_code(1);
@@ -51,8 +51,7 @@ fn judged_masks_survive_a_file_that_is_added() {
 
 #[test]
 fn a_source_that_is_added_changes_no_id_and_no_split() {
-    let (dir, source, more) = halves(24);
-    let dataset = dir.path().join("dataset");
+    let (dir, source, more, dataset) = halves(24);
     // It speaks of the clips of this source alone, whichever sources are given beside it.
     put(source.join("LICENSE"), "Free to use.\n");
     ingest(&[&source], &dataset, &[], 0);
@@ -63,8 +62,8 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
     assert_eq!(after.len(), 24);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
     // The order of sources, their number and the place of a folder do not matter.
-    let moved = dir.path().join("elsewhere/corpus");
-    fs::create_dir(dir.path().join("elsewhere")).expect("made");
+    let moved = dir.path("elsewhere/corpus");
+    fs::create_dir(dir.path("elsewhere")).expect("made");
     fs::rename(&source, &moved).expect("moved");
     let [more, moved] = [arg(&more), arg(&moved)];
     let corpus = named("corpus", Path::new(moved));
@@ -77,7 +76,7 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
     }
     assert_eq!(clips(&dataset), after);
     // A dataset made of both at once has the same splits, though its ids have different prefixes for the folders.
-    let fresh = dir.path().join("fresh");
+    let fresh = dir.path("fresh");
     ingest(&[more, moved], &fresh, &[], 0);
     let fresh = clips(&fresh);
     for (id, clip) in &before {
@@ -88,8 +87,8 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
 
 #[test]
 fn a_file_of_the_same_name_takes_nobodys_id() {
-    let dir = corpus(12);
-    let [source, small, dataset] = ["corpus", "small", "dataset"].map(|name| dir.path().join(name));
+    let dir = Folder::of_clips(12);
+    let [source, small, dataset] = ["corpus", "small", "dataset"].map(|name| dir.path(name));
     let copy = |end: &str| {
         let file = &files_with_extension(&source, end)[0];
         fs::copy(file, small.join("walk").with_extension(end)).expect("copied");
@@ -109,13 +108,12 @@ fn a_file_of_the_same_name_takes_nobodys_id() {
 
 #[test]
 fn two_folders_of_one_name_are_told_apart_by_the_names_they_are_given() {
-    let (dir, source, more) = halves(12);
-    let [one, two] = ["one/data", "two/data"].map(|name| dir.path().join(name));
+    let (dir, source, more, dataset) = halves(12);
+    let [one, two] = ["one/data", "two/data"].map(|name| dir.path(name));
     for (from, to) in [(&source, &one), (&more, &two)] {
         fs::create_dir(to.parent().expect("a folder")).expect("made");
         fs::rename(from, to).expect("moved");
     }
-    let dataset = dir.path().join("dataset");
     let [a, b] = [named("one", &one), named("two", &two)];
     ingest(&[&a, &b], &dataset, &[], 0);
     let before = clips(&dataset);
@@ -126,7 +124,7 @@ fn two_folders_of_one_name_are_told_apart_by_the_names_they_are_given() {
         assert_eq!(again["already_complete"], true);
     }
     // The folders swap their places, and each keeps its name.
-    let aside = dir.path().join("aside");
+    let aside = dir.path("aside");
     for (from, to) in [(&one, &aside), (&two, &one), (&aside, &two)] {
         fs::rename(from, to).expect("moved");
     }
@@ -136,7 +134,7 @@ fn two_folders_of_one_name_are_told_apart_by_the_names_they_are_given() {
     assert_eq!(clips(&dataset), before);
     // A new dataset does not depend on the order either.
     let [ab, ba] = [("ab", [&a, &b]), ("ba", [&b, &a])].map(|(name, sources)| {
-        let out = dir.path().join(name);
+        let out = dir.path(name);
         ingest(&sources, &out, &[], 0);
         clips(&out)
     });
@@ -145,8 +143,8 @@ fn two_folders_of_one_name_are_told_apart_by_the_names_they_are_given() {
 
 #[test]
 fn signs_in_names_do_not_collapse_splits() {
-    let dir = corpus(40);
-    let [source, parent, odd] = ["corpus", "parent", "odd"].map(|name| dir.path().join(name));
+    let dir = Folder::of_clips(40);
+    let [source, parent, odd] = ["corpus", "parent", "odd"].map(|name| dir.path(name));
     fs::create_dir(&parent).expect("made");
     fs::rename(&source, parent.join("take#1@2")).expect("moved");
     ingest(&[&parent], &odd, &[], 0);
@@ -203,9 +201,8 @@ fn automatic_labels_of_clips_that_change_are_counted() {
         typed("{} {}", &[&stage, &dataset]).expect_code(0);
     }
     let all: Vec<MaskRow> = rows_of(&dataset);
-    let row = motions(&dataset)
-        .into_iter()
-        .find(|row| row.id == all[0].motion_id);
+    let mut rows = motions(&dataset).into_iter();
+    let row = rows.find(|row| row.id == all[0].motion_id);
     let row = row.expect("its clip");
     let file = source.join(&row.source_path);
     let end = file.extension().expect("one").to_string_lossy();
@@ -239,14 +236,9 @@ fn captions_that_change_are_read_again_and_other_settings_are_named() {
     // Other settings keep ids, splits and labels.
     let settings = ["--fps", "30", "--license", "CC0-1.0"];
     let message = refused(&[&source], &dataset, &settings);
-    assert_has(
-        &message,
-        &[
-            "fps was 20 and is now 30",
-            "license was none and is now CC0-1.0",
-            "--new-version",
-        ],
-    );
+    let rate = "fps was 20 and is now 30";
+    let license = "license was none and is now CC0-1.0";
+    assert_has(&message, &[rate, license, "--new-version"]);
     ingest(&[&source], &dataset, &["--fps", "30", "--new-version"], 0);
     let after = clips(&dataset);
     assert!(before.iter().all(|(id, (split, _))| after[id].0 == *split));
@@ -258,12 +250,12 @@ fn captions_that_change_are_read_again_and_other_settings_are_named() {
 #[cfg(unix)]
 #[test]
 fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
-    let dir = corpus(6);
-    let [source, dataset, aside] = ["corpus", "dataset", "aside"].map(|name| dir.path().join(name));
+    let dir = Folder::of_clips(6);
+    let [source, dataset, aside] = ["corpus", "dataset", "aside"].map(|name| dir.path(name));
     let file = files(&source)[0].clone();
     fs::rename(&file, &aside).expect("moved");
     // A broken link cannot be read.
-    std::os::unix::fs::symlink(dir.path().join("nothing"), &file).expect("linked");
+    std::os::unix::fs::symlink(dir.path("nothing"), &file).expect("linked");
     let first = ingest(&[&source], &dataset, &[], 3);
     assert_eq!(first["codes"]["E-IO"], 1);
     fs::remove_file(&file).expect("removed");
@@ -273,7 +265,7 @@ fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
     assert_eq!(again["quarantined"], 0);
     // A clip whose file cannot be read any more stays.
     fs::rename(&file, &aside).expect("moved");
-    std::os::unix::fs::symlink(dir.path().join("nothing"), &file).expect("linked");
+    std::os::unix::fs::symlink(dir.path("nothing"), &file).expect("linked");
     let before = clips(&dataset);
     let again = ingest(&[&source], &dataset, &[], 0);
     assert_tells(&again["remarks"], "stays as it was");
@@ -299,8 +291,8 @@ fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
 
 #[test]
 fn two_datasets_merge_and_lose_no_label() {
-    let (dir, source, more) = halves(12);
-    let [a, b] = ["a", "b"].map(|name| dir.path().join(name));
+    let (dir, source, more, _) = halves(12);
+    let [a, b] = ["a", "b"].map(|name| dir.path(name));
     ingest(&[&source], &a, &[], 0);
     let judged = judge(&a);
     // The second source has other motions, one under an id of the first, and a clip of the first.
@@ -319,7 +311,7 @@ fn two_datasets_merge_and_lose_no_label() {
     let (shared_id, taken) = (id_of(&own[0]), id_of(&own[1]));
     ingest(&[&more], &b, &["--seed", "5"], 0);
     let judged_too = judge(&b);
-    let out = dir.path().join("both");
+    let out = dir.path("both");
     // The file of the common clip came without its labels.
     let line = "--json dataset merge {} {} --out {} --take-first";
     let merged: Value = typed(line, &[&a, &b, &out]).done();
@@ -333,9 +325,8 @@ fn two_datasets_merge_and_lose_no_label() {
     assert!(judged.iter().all(|(id, mask)| labels[id] == *mask));
     assert_eq!(merged["shared"], json!([shared_id]));
     assert_eq!(after.len(), before.len() + clips(&b).len() - 1);
-    let of_others = judged_too
-        .values()
-        .filter(|mask| !judged.values().any(|own| own.id == mask.id));
+    let of_others = judged_too.values();
+    let of_others = of_others.filter(|mask| !judged.values().any(|own| own.id == mask.id));
     assert!(labels.len() >= judged.len() + of_others.count());
     equal_motions_share_a_split(&out);
     // The result grows like any other dataset.
@@ -375,10 +366,9 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
 
 #[test]
 fn labels_beside_a_file_that_is_given_alone_are_read_again_when_they_change() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let (folder, dataset) = (dir.path().join("clips"), dir.path().join("dataset"));
-    typed("corpus --clips 2 --out {}", &[&folder]).expect_code(0);
-    let file = files_with_extension(&folder, "npz").remove(0);
+    let dir = Folder::of_clips(2);
+    let dataset = dir.path("dataset");
+    let file = files_with_extension(&dir.path("corpus"), "npz").remove(0);
     fs::remove_file(file.with_extension("stance.json")).expect("removed");
     let beside = |name: &str| file.with_file_name(name);
     let read = || {

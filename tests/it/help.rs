@@ -7,7 +7,7 @@ use eval::metric;
 use formats::source::FORMATS;
 use train::registry::MODELS;
 
-use crate::util::{arg, assert_has, command, put, stance, text_of, typed};
+use crate::util::{Folder, assert_has, command, put, stance, text_of, typed};
 
 /// The verbs of this version; scripts rely on them.
 const VERBS: &str = "demo run build corpus doctor ingest inspect verify dataset stats query export annotate masks pairs \
@@ -54,10 +54,8 @@ fn a_result_that_cannot_be_written_is_an_error() {
         let ran = ran.expect("it ran");
         assert_eq!(ran.status.code(), Some(1), "{line:?}");
         let said = String::from_utf8_lossy(&ran.stderr);
-        assert_has(
-            &said,
-            &["error: cannot write the result to standard output: "],
-        );
+        let error = "error: cannot write the result to standard output: ";
+        assert_has(&said, &[error]);
     }
     // A closed pipe, as behind `| head`, is no error.
     let (reader, writer) = std::io::pipe().expect("a pipe");
@@ -72,10 +70,8 @@ fn every_verb_explains_itself_and_its_options() {
     for verb in VERBS.split(' ') {
         assert!(listed.contains(&format!("\n  {verb}")), "{verb} is listed");
         let help = help_of(verb);
-        assert_has(
-            &help,
-            &["--threads", "--seed", "--json", "--quiet", "--no-progress"],
-        );
+        let all = ["--threads", "--seed", "--json", "--quiet", "--no-progress"];
+        assert_has(&help, &all);
         // Only verbs that run a model have the option --device, and only those that train one have --devices.
         let (device, devices) = (help.contains("--device "), help.contains("--devices "));
         let runs = RUNS.split(' ').any(|run| run == verb);
@@ -131,11 +127,11 @@ fn shells_and_man_know_every_verb() {
             assert!(script.contains(verb), "{shell} lacks {verb}");
         }
     }
-    let dir = tempfile::tempdir().expect("a folder");
-    stance(&["man", "--out", arg(dir.path())]).expect_code(0);
+    let dir = Folder::empty();
+    dir.run("man --out @.");
     for verb in VERBS.split(' ') {
-        let page = fs::read_to_string(dir.path().join(format!("stance-{verb}.1")));
-        assert!(page.expect("a page").contains(".TH"), "{verb}");
+        let page = dir.text(&format!("stance-{verb}.1"));
+        assert!(page.contains(".TH"), "{verb}");
     }
 }
 

@@ -4,33 +4,32 @@ pub(crate) mod server;
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::dataset::commit_rows;
-use datasets_spec::manifest::Manifest;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, QuarantineRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, MotionId, Skeleton, Split};
+use datasets_spec::{Fps, Motion, MotionId, Skeleton, Split};
 use serde_json::{Value, json};
 
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
 use crate::util::{
-    Ran, arg, assert_has, corpus, dataset_of, files_with_extension, ingested, list_of, motions_of,
-    put, rows_of, stance, text_of,
+    Ran, assert_has, files_with_extension, manifest_of, motions_of, put, text_of, words_of,
 };
 
-const CLIPS: &str = "lab/clips";
-
 impl Hub {
-    /// Publishes a folder and returns the `--json` document.
-    fn push(&self, folder: &Path, repo: &str, more: &[&str]) -> Value {
-        self.try_push(folder, repo, more).done()
+    /// Publishes a folder as a repo, as the rest of the line says, and returns the `--json` document.
+    fn push(&self, line: &str) -> Value {
+        self.try_push(line).done()
     }
 
-    fn try_push(&self, folder: &Path, repo: &str, more: &[&str]) -> Ran {
-        let args = ["--json", "hub", "push", arg(folder), repo];
-        self.run(Some(TOKEN), &[&args, more].concat())
+    fn try_push(&self, line: &str) -> Ran {
+        self.ran(Some(TOKEN), &format!("--json hub push {line}"))
+    }
+
+    fn push_refused(&self, line: &str, text: &str) {
+        self.try_push(line).expect_refused(text);
     }
 
     /// The card of a repo.
@@ -46,9 +45,15 @@ impl Hub {
         calls.all(|call| call.line.starts_with("GET "))
     }
 
-    fn pull(&self, token: Option<&str>, repo: &str, out: &Path, more: &[&str]) -> Ran {
-        let args = ["--json", "hub", "pull", repo, "--out", arg(out)];
-        self.run(token, &[&args, more].concat())
+    fn pull(&self, token: Option<&str>, line: &str) -> Ran {
+        self.ran(token, &format!("--json hub pull {line}"))
+    }
+
+    /// Makes a dataset with a licence in the folder `dataset`.
+    fn licensed(&self) -> PathBuf {
+        self.run("corpus --clips 6 --out @corpus");
+        self.run("ingest @corpus --out @dataset --license CC0-1.0");
+        self.path("dataset")
     }
 }
 
@@ -74,18 +79,12 @@ fn run_folder(folder: &Path, dataset_hash: &str) {
 }
 
 fn words(list: &Value) -> BTreeSet<&str> {
-    let list = list_of(list).iter();
-    list.map(|word| word.as_str().expect("text")).collect()
-}
-
-fn manifest(dataset: &Path) -> Manifest {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.manifest().clone()
+    words_of(list).into_iter().collect()
 }
 
 /// Paths of the files that are published: tables of the newest version, its manifest, and its descriptions.
 fn published(dataset: &Path) -> BTreeSet<String> {
-    let manifest = manifest(dataset);
+    let manifest = manifest_of(dataset);
     let named = manifest.tables.into_values().flatten();
     let mut files: BTreeSet<String> = named.map(|file| file.path).collect();
     files.insert(format!("meta/manifest-{}.json", manifest.version));
@@ -95,42 +94,42 @@ fn published(dataset: &Path) -> BTreeSet<String> {
 
 #[test]
 fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_sent() {
-    let (dir, dataset) = dataset_of(6, &["--license", "CC0-1.0"]);
     let hub = Hub::open();
+    let dataset = hub.licensed();
     let expected = published(&dataset);
     // The store of annotations holds names, tokens and answers of people.
-    put(dataset.join("annotate/store.sqlite"), "anna");
+    hub.put("dataset/annotate/store.sqlite", "anna");
     // The preview needs no token and writes nothing.
-    let args = ["--json", "hub", "push", arg(&dataset), CLIPS, "--dry-run"];
-    let preview: Value = hub.run(None, &args).done();
+    let preview = "--json hub push @dataset lab/clips --dry-run";
+    let preview: Value = hub.ran(None, preview).done();
     let names: BTreeSet<&str> = expected.iter().map(String::as_str).collect();
     assert_eq!(words(&preview["changed"]), names);
     assert_eq!(preview["commit"], Value::Null);
     assert!(hub.is_only_read());
 
-    let ran = hub.try_push(&dataset, CLIPS, &[]).expect_code(0);
+    let ran = hub.try_push("@dataset lab/clips").expect_code(0);
     ran.expect_said("annotate/ is not published");
     let first: Value = ran.json();
     assert_eq!([&first["type"], &first["what"]], ["dataset"; 2]);
     assert_eq!(words(&first["changed"]).len(), expected.len());
     // Shards without rows are equal, so they are sent once.
-    let shards = manifest(&dataset).tables.into_values().flatten();
+    let shards = manifest_of(&dataset).tables.into_values().flatten();
     let distinct: BTreeSet<String> = shards.map(|shard| shard.sha256).collect();
     assert_eq!(first["sent"], distinct.len());
     let license = "license:\n- cc0-1.0\n";
     let config = "config_name: motions\n  default: true\n";
     assert_has(&hub.card("datasets/lab/clips"), &[license, config]);
 
-    let out = dir.path().join("pulled");
-    let pulled: Value = hub.pull(Some(TOKEN), CLIPS, &out, &[]).done();
+    let pull = || hub.pull(Some(TOKEN), "lab/clips --out @pulled");
+    let pulled: Value = pull().done();
     assert_eq!(pulled["commit"], first["commit"]);
-    let found = files_below(&out);
+    let found = files_below(&hub.path("pulled"));
     assert_eq!(found.keys().cloned().collect::<BTreeSet<_>>(), expected);
     for (path, bytes) in found {
         let sent = fs::read(dataset.join(&path)).expect("there");
         assert_eq!(bytes, sent, "{path}");
     }
-    hub.pull(Some(TOKEN), CLIPS, &out, &[]).expect_code(1);
+    pull().expect_code(1);
     // The token is never sent to the storage.
     for call in &hub.state().calls {
         assert!(call.token.is_none() || !call.is_storage, "{}", call.line);
@@ -138,39 +137,35 @@ fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_
 
     // Existing files are not sent again.
     hub.state().calls.clear();
-    let again = hub.push(&dataset, CLIPS, &[]);
+    let again = hub.push("@dataset lab/clips");
     assert_eq!(again["commit"], Value::Null);
     assert_eq!(again["unchanged"], expected.len());
     assert!(hub.is_only_read());
 
     let before = expected;
-    stance(&["masks", arg(&dataset)]).expect_code(0);
-    let second = hub.push(&dataset, CLIPS, &[]);
+    hub.run("masks @dataset");
+    let second = hub.push("@dataset lab/clips");
     let changed = words(&second["changed"]);
     let shard = before.iter().find(|path| path.starts_with("data/motions/"));
-    assert!(
-        !changed.contains(shard.expect("a shard").as_str()),
-        "{changed:?}"
-    );
+    let shard = shard.expect("a shard").as_str();
+    assert!(!changed.contains(shard), "{changed:?}");
     assert!(changed.contains("meta/manifest-2.json"), "{changed:?}");
     let old = BTreeSet::from(["meta/manifest-1.json"]);
     assert_eq!(words(&second["only_in_repo"]), old);
 
     // Of several versions, the newest is pulled.
-    let out = dir.path().join("second");
-    let pulled: Value = hub.pull(None, CLIPS, &out, &[]).done();
+    let pulled: Value = hub.pull(None, "lab/clips --out @second").done();
     assert_eq!(words(&pulled["passed_over"]), old);
-    assert_eq!(published(&out), published(&dataset));
+    assert_eq!(published(&hub.path("second")), published(&dataset));
 
     // Files that somebody else committed stay until their deletion is requested by name.
     hub.state()
         .write("datasets/lab/clips", "notes/NOTES.md", b"of others");
-    hub.try_push(&dataset, CLIPS, &["--delete", "README.md"])
-        .expect_refused("it is published");
-    hub.try_push(&dataset, CLIPS, &["--delete", "other"])
-        .expect_code(1);
-    let delete = ["--delete", "meta/manifest-1.json", "--delete", "notes"];
-    let third = hub.push(&dataset, CLIPS, &delete);
+    hub.push_refused("@dataset lab/clips --delete README.md", "it is published");
+    let other = hub.try_push("@dataset lab/clips --delete other");
+    other.expect_code(1);
+    let delete = "--delete meta/manifest-1.json --delete notes";
+    let third = hub.push(&format!("@dataset lab/clips {delete}"));
     let deleted = BTreeSet::from(["meta/manifest-1.json", "notes/NOTES.md"]);
     assert_eq!(words(&third["deleted"]), deleted);
     let mut expected = published(&dataset);
@@ -179,42 +174,39 @@ fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_
     assert_eq!(BTreeSet::from_iter(paths), expected);
 
     // A dataset with a lower version would be hidden by the published one, so it is refused.
-    let older = dir.path().join("older");
-    commit(&older, quarantined());
-    hub.try_push(&older, CLIPS, &["--license", "MIT"])
-        .expect_refused("--delete meta/manifest-2.json");
+    commit(&hub.path("older"), quarantined());
+    let push = "@older lab/clips --license MIT";
+    let delete = "--delete meta/manifest-2.json";
+    hub.push_refused(push, delete);
     // Whoever deletes the newer version need not say again that this one takes its place.
-    let delete = ["--license", "MIT", "--delete", "meta/manifest-2.json"];
-    let done = hub.push(&older, CLIPS, &delete);
+    let done = hub.push(&format!("{push} {delete}"));
     assert!(words(&done["changed"]).contains("meta/manifest-1.json"));
 }
 
 #[test]
 fn the_version_of_a_colleague_is_not_replaced_without_a_word() {
-    let (dir, ann) = dataset_of(6, &["--license", "CC0-1.0"]);
     let hub = Hub::open();
-    hub.push(&ann, CLIPS, &[]);
+    hub.licensed();
+    hub.push("@dataset lab/clips");
     // Two people go on from version 1, and both make a version 2.
-    let ben = dir.path().join("ben");
-    hub.pull(Some(TOKEN), CLIPS, &ben, &[]).expect_code(0);
-    stance(&["masks", arg(&ann)]).expect_code(0);
-    let id = motions_of(&ben).into_keys().next().expect("a clip");
-    let condition = format!("id = '{id}'");
-    stance(&["dataset", "remove", arg(&ben), "--where", &condition]).expect_code(0);
-    hub.push(&ann, CLIPS, &[]);
-    for more in [&[][..], &["--dry-run"]] {
-        hub.try_push(&ben, CLIPS, more)
-            .expect_refused("another version 2");
+    let pulled = hub.pull(Some(TOKEN), "lab/clips --out @ben");
+    pulled.expect_code(0);
+    hub.run("masks @dataset");
+    let mut clips = motions_of(&hub.path("ben")).into_keys();
+    let id = clips.next().expect("a clip");
+    hub.run(&format!("dataset remove @ben --where \"id = '{id}'\""));
+    hub.push("@dataset lab/clips");
+    for more in ["", "--dry-run"] {
+        let push = format!("@ben lab/clips {more}");
+        hub.push_refused(&push, "another version 2");
     }
     // A version 3 made from Ben's version 2 lacks Ann's masks too.
-    stance(&["masks", arg(&ben)]).expect_code(0);
-    hub.try_push(&ben, CLIPS, &[])
-        .expect_refused("another version 2");
-    let done = hub.push(&ben, CLIPS, &["--over"]);
+    hub.run("masks @ben");
+    hub.push_refused("@ben lab/clips", "another version 2");
+    let done = hub.push("@ben lab/clips --over");
     assert!(words(&done["changed"]).contains("meta/manifest-3.json"));
     // A repo that everybody reads is not taken for a private one.
-    hub.try_push(&ben, CLIPS, &["--private"])
-        .expect_refused("public");
+    hub.push_refused("@ben lab/clips --private", "public");
 }
 
 /// Writes a dataset of one row.
@@ -238,22 +230,21 @@ fn quarantined() -> QuarantineRow {
 
 #[test]
 fn a_push_that_broke_off_goes_on_and_a_pull_too_but_wrong_bytes_are_refused() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let run = dir.path().join("run");
-    run_folder(&run, "abc");
     let hub = Hub::open();
-    let license = ["--license", "CC-BY-4.0"];
+    let run = hub.path("run");
+    run_folder(&run, "abc");
+    let push = "@run lab/editor --license CC-BY-4.0";
     // The upload breaks after two objects of one part each.
     hub.state().puts_left = Some(2);
-    let broken = hub.try_push(&run, "lab/editor", &license).expect_code(1);
-    broken.expect_said("run the same command again");
+    let broken = hub.try_push(push);
+    let broken = broken.expect_refused("run the same command again");
     assert_eq!(broken.json::<Value>()["code"], "E-HUB");
     assert_eq!(hub.state().paths("models/lab/editor"), [".gitattributes"]);
     let before = hub.state().take_calls("PUT");
     assert_eq!(before.len(), 3, "the third one failed");
 
     hub.state().puts_left = None;
-    let whole = hub.push(&run, "lab/editor", &license);
+    let whole = hub.push(push);
     assert_eq!(whole["sent"], 2);
     let after = hub.state().take_calls("PUT");
     for put in &before[..2] {
@@ -261,123 +252,104 @@ fn a_push_that_broke_off_goes_on_and_a_pull_too_but_wrong_bytes_are_refused() {
     }
     // The other two files have two and five parts.
     assert_eq!(after.len(), 7);
-    let sent = fs::read(run.join("checkpoint/best/3.safetensors")).expect("there");
-    let found = hub
-        .state()
-        .read("models/lab/editor", "checkpoint/best/3.safetensors");
+    let file = "checkpoint/best/3.safetensors";
+    let sent = fs::read(run.join(file)).expect("there");
+    let found = hub.state().read("models/lab/editor", file);
     assert_eq!(found.expect("there"), sent);
 
     hub.state().is_tampered = true;
-    let out = dir.path().join("pulled");
-    hub.pull(None, "lab/editor", &out, &[])
-        .expect_refused("is damaged");
+    let pull = |more: &str| hub.pull(None, &format!("lab/editor --out @pulled {more}"));
+    let out = hub.path("pulled");
+    pull("").expect_refused("is damaged");
     assert!(!out.exists());
 
     hub.state().is_tampered = false;
     hub.state().cut = Some(30_000);
-    hub.pull(None, "lab/editor", &out, &["--revision", "v9"])
-        .expect_refused("v9");
-    let pulled: Value = hub.pull(None, "lab/editor", &out, &[]).done();
+    pull("--revision v9").expect_refused("v9");
+    let pulled: Value = pull("").done();
     assert_eq!([&pulled["type"], &pulled["what"]], ["model", "run"]);
     let mut found = files_below(&out);
     let card = String::from_utf8(found.remove("README.md").expect("a card")).expect("text");
-    assert_has(
-        &card,
-        &[
-            "license: cc-by-4.0\n",
-            "| tables trained on | `abc` |",
-            "| seed | 7 |",
-            "stance hub pull lab/editor --out RUN",
-            "Dynamic Motion Blending",
-        ],
-    );
+    let parts = [
+        "license: cc-by-4.0\n",
+        "| tables trained on | `abc` |",
+        "| seed | 7 |",
+        "stance hub pull lab/editor --out RUN",
+        "Dynamic Motion Blending",
+    ];
+    assert_has(&card, &parts);
     let mut expected = files_below(&run);
     expected.retain(|path, _| !path.contains("/."));
     assert_eq!(found, expected);
-    let left = fs::read_dir(dir.path()).expect("a folder").count();
+    let left = fs::read_dir(hub.path("")).expect("a folder").count();
     assert_eq!(left, 2, "only the run and what was pulled");
 }
 
 #[test]
 fn tokens_and_names_are_checked() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let run = dir.path().join("run");
-    run_folder(&run, "abc");
     let hub = Hub::open();
+    run_folder(&hub.path("run"), "abc");
     for name in [
         "", "editor", "a/b/c", "a/", "a/b.git", "a/b--c", "a/b c", "a/-b",
     ] {
-        let refused = hub.try_push(&run, name, &[]).expect_code(2);
-        refused.expect_said("OWNER/NAME");
+        let refused = hub.try_push(&format!("@run '{name}'"));
+        refused.expect_code(2).expect_said("OWNER/NAME");
     }
-    let args = ["hub", "push", arg(&run), "lab/editor", "--license", "MIT"];
-    hub.run(None, &args).expect_refused("HF_TOKEN");
+    let push = "hub push @run lab/editor --license MIT";
+    hub.ran(None, push).expect_refused("HF_TOKEN");
     assert!(hub.state().calls.is_empty());
 
-    let wrong = hub.run(Some("hf_secret_but_wrong"), &args).expect_code(1);
-    wrong.expect_said("refuses");
+    let wrong = hub.ran(Some("hf_secret_but_wrong"), push);
+    let wrong = wrong.expect_refused("refuses");
     assert!(!wrong.stderr.contains("secret"), "{}", wrong.stderr);
     assert!(hub.state().paths("models/lab/editor").is_empty());
 
     // The token of `hf auth login` gives access to a private repo.
     put(hub.token_file(), format!("{TOKEN}\n"));
-    let args = [&args[..], &["--private"]].concat();
-    hub.run(None, &args).expect_code(0);
-    let out = dir.path().join("pulled");
-    hub.pull(None, "lab/editor", &out, &[]).expect_code(0);
+    let private = format!("{push} --private");
+    hub.ran(None, &private).expect_code(0);
+    hub.pull(None, "lab/editor --out @pulled").expect_code(0);
     fs::remove_file(hub.token_file()).expect("removed");
-    let hidden = hub.pull(None, "lab/editor", &dir.path().join("other"), &[]);
+    let hidden = hub.pull(None, "lab/editor --out @other");
     hidden.expect_refused("the hub has no");
 }
 
 #[test]
 fn what_may_not_be_passed_on_is_refused() {
-    let dir = tempfile::tempdir().expect("a folder");
     let hub = Hub::open();
-    let unstated = dir.path().join("unstated");
-    commit(&unstated, quarantined());
-    hub.try_push(&unstated, CLIPS, &[])
-        .expect_refused("--license");
-    hub.push(&unstated, CLIPS, &["--license", "CC-BY-4.0"]);
+    commit(&hub.path("unstated"), quarantined());
+    hub.push_refused("@unstated lab/clips", "--license");
+    hub.push("@unstated lab/clips --license CC-BY-4.0");
     let card = hub.card("datasets/lab/clips");
     assert_has(&card, &["license:\n- cc-by-4.0\n"]);
 
     // A dataset whose licence restricts redistribution is only published if the user names the licence.
-    let sources = corpus(4);
-    let restricted = sources.path().join("restricted");
-    let clips = sources.path().join("corpus");
+    hub.run("corpus --clips 4 --out @corpus");
     // Sidecars state their own licence.
     let tag = "LicenseRef-AMASS-NonCommercial";
-    for sidecar in files_with_extension(&clips, "json") {
+    for sidecar in files_with_extension(&hub.path("corpus"), "json") {
         let text = text_of(&sidecar).replace("CC0-1.0", tag);
         put(&sidecar, text);
     }
-    ingested(&clips, &restricted, &["--license", tag]);
-    hub.try_push(&restricted, "lab/other", &[])
-        .expect_refused(tag);
-    hub.push(&restricted, "lab/other", &["--license", tag]);
+    hub.run(&format!("ingest @corpus --out @restricted --license {tag}"));
+    hub.push_refused("@restricted lab/other", tag);
+    hub.push(&format!("@restricted lab/other --license {tag}"));
 
     // A run has the licence of its data.
-    let run = dir.path().join("run");
-    let data = Dataset::open(&restricted).expect("a dataset");
-    run_folder(&run, &data.content_hash(&[MotionRow::TABLE]));
-    hub.try_push(&run, "lab/editor", &[])
-        .expect_refused("--dataset");
-    let of = |dataset: &Path| {
-        let args = ["--dataset", arg(dataset), "--license", tag];
-        hub.try_push(&run, "lab/editor", &args)
-    };
-    of(&unstated).expect_refused("other tables");
-    of(&restricted).expect_code(0);
+    let data = hub.dataset_at("restricted");
+    let hash = data.content_hash(&[MotionRow::TABLE]);
+    run_folder(&hub.path("run"), &hash);
+    hub.push_refused("@run lab/editor", "--dataset");
+    let push = format!("@run lab/editor --license {tag} --dataset");
+    hub.push_refused(&format!("{push} @unstated"), "other tables");
+    hub.push(&format!("{push} @restricted"));
     let card = hub.card("models/lab/editor");
     assert_has(&card, &[tag, &data.manifest().root_hash]);
 }
 
 #[test]
 fn edits_are_published_as_a_dataset_and_folders_and_repos_of_others_are_refused() {
-    let dir = tempfile::tempdir().expect("a folder");
     let hub = Hub::open();
-    let edits = dir.path().join("edits");
     let still = vec![[0.0; 3]; 2];
     let motion = Motion::new(Fps::STORE, still.clone(), still, vec![[0.0; 63]; 2]);
     let item = ItemRow::blank(&MotionId::parse("a").expect("an id"), Split::Test);
@@ -389,25 +361,22 @@ fn edits_are_published_as_a_dataset_and_folders_and_repos_of_others_are_refused(
         kind: "semantic".to_owned(),
         ..EditRow::answering(&item, &motion.expect("a motion"))
     };
-    commit(&edits, row);
-    let pushed = hub.push(&edits, "lab/edits", &["--license", "CC0-1.0"]);
+    commit(&hub.path("edits"), row);
+    let pushed = hub.push("@edits lab/edits --license CC0-1.0");
     assert_eq!([&pushed["type"], &pushed["what"]], ["dataset", "edits"]);
     let card = hub.card("datasets/lab/edits");
     assert_has(&card, &["config_name: edits\n  default: true\n"]);
-    let out = dir.path().join("pulled");
-    let pulled: Value = hub.pull(None, "lab/edits", &out, &[]).done();
+    let pulled: Value = hub.pull(None, "lab/edits --out @pulled").done();
     assert_eq!(pulled["what"], "edits");
-    assert_eq!(rows_of::<EditRow>(&out).len(), 1);
+    assert_eq!(hub.rows::<EditRow>("pulled").len(), 1);
 
-    let nothing = dir.path().join("nothing");
-    fs::create_dir(&nothing).expect("made");
-    hub.try_push(&nothing, "lab/nothing", &[])
-        .expect_refused("expected a dataset, edits, or a run");
+    fs::create_dir(hub.path("nothing")).expect("made");
+    let expected = "expected a dataset, edits, or a run";
+    hub.push_refused("@nothing lab/nothing", expected);
     // Repos of other programs are refused, and so are paths that lead out of the folder.
     hub.state().write("models/lab/foreign", "weights.bin", b"1");
-    let out = dir.path().join("foreign");
     let refused = |why: &str| {
-        let pulled = hub.pull(None, "lab/foreign", &out, &[]);
+        let pulled = hub.pull(None, "lab/foreign --out @foreign");
         pulled.expect_refused(why);
     };
     refused("config.json");
@@ -416,7 +385,7 @@ fn edits_are_published_as_a_dataset_and_folders_and_repos_of_others_are_refused(
     refused("another program");
     hub.state().write("models/lab/foreign", "a/../../b", b"1");
     refused("cannot be written here");
-    assert!(!out.exists());
+    assert!(!hub.path("foreign").exists());
     // If a dataset and a model have the same name, --type must choose.
     hub.state().write("datasets/lab/foreign", "a", b"1");
     refused("--type");

@@ -2,19 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
 use std::process::Stdio;
 
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Skeleton};
-use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
+use eval::metric::foot_score::{feet, foot_score};
 use eval::protocol::Floor;
 use serde::Deserialize;
 use serde_json::Value;
 
 use crate::util::{
-    Ran, arg, assert_quarantined, command, corpus, dataset_of, everything, files_with_extension,
-    motions_of, put, real_data, rows_of, stance, text_of, typed, typed_with,
+    Folder, Ran, arg, assert_quarantined, damage, everything, files_with_extension, kill_once,
+    motions_of, real_data, text_of,
 };
 
 /// The document of `ingest --json`, with the fields that scripts rely on.
@@ -56,19 +55,19 @@ impl Ingested {
     }
 }
 
-fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Ingested {
-    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+/// Ingests the folder `corpus`.
+fn ingest(dir: &Folder, out: &str, more: &str, code: i32) -> Ingested {
+    let ran = dir.typed(&format!("--json ingest @corpus --out @{out} {more}"));
     ran.expect_code(code).json()
 }
 
 #[test]
 fn the_corpus_is_ingested_whole_and_the_same_on_any_number_of_threads() {
-    let dir = corpus(24);
-    let source = dir.path().join("corpus");
+    let dir = Folder::of_clips(24);
     let mut hashes = Vec::new();
     for threads in ["1", "2", "7"] {
-        let out = dir.path().join(format!("dataset{threads}"));
-        let done = ingest(&source, &out, &["--threads", threads], 0);
+        let out = format!("dataset{threads}");
+        let done = ingest(&dir, &out, &format!("--threads {threads}"), 0);
         assert_eq!((done.ingested, done.quarantined), (24, 0));
         assert!(done.balances() && !done.already_complete, "{done:?}");
         assert!(done.refused_pairs.is_empty() && done.remarks.is_empty());
@@ -78,37 +77,31 @@ fn the_corpus_is_ingested_whole_and_the_same_on_any_number_of_threads() {
     }
     assert_eq!(hashes[0], hashes[1]);
     assert_eq!(hashes[0], hashes[2]);
-    let seeded = ingest(&source, &dir.path().join("seeded"), &["--seed", "5"], 0);
+    let seeded = ingest(&dir, "seeded", "--seed 5", 0);
     assert_ne!(seeded.root_hash, hashes[0], "the seed decides the splits");
     // `inspect` counts what was written, and no verb reads a shard that was altered.
-    let out = dir.path().join("dataset1");
-    let inspected: Value = stance(&["--json", "inspect", arg(&out)]).done();
+    let inspected: Value = dir.json("inspect @dataset1");
     assert_eq!(inspected["root_hash"], hashes[0]);
     let version = datasets_spec::table::SCHEMA_VERSION;
     assert_eq!(inspected["schema_version"], version);
     assert_eq!(inspected["tables"]["motions"], 24);
-    let shard = &files_with_extension(&out, "parquet")[0];
-    let mut bytes = fs::read(shard).expect("a shard");
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    put(shard, bytes);
-    stance(&["masks", arg(&out)]).expect_refused("does not match its manifest");
+    damage(&files_with_extension(&dir.path("dataset1"), "parquet")[0]);
+    dir.refused("masks @dataset1", "does not match its manifest");
 }
 
 #[test]
 fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
-    let dir = corpus(8);
-    let source = dir.path().join("corpus");
+    let dir = Folder::of_clips(8);
+    let source = dir.path("corpus");
     let npz = fs::read(&files_with_extension(&source, "npz")[0]).expect("an archive");
-    put(source.join("truncated.npz"), &npz[..npz.len() / 2]);
+    dir.put("corpus/truncated.npz", &npz[..npz.len() / 2]);
     let bvh = text_of(&files_with_extension(&source, "bvh")[0]);
     let row = bvh.trim_end().lines().last().expect("a row");
     let longer = format!("{}\n{row}\n", bvh.trim_end());
-    put(source.join("extra_row.bvh"), longer);
-    put(source.join("notes.md"), "not a motion");
+    dir.put("corpus/extra_row.bvh", longer);
+    dir.put("corpus/notes.md", "not a motion");
 
-    let out = dir.path().join("dataset");
-    let done = ingest(&source, &out, &[], 3);
+    let done = ingest(&dir, "dataset", "", 3);
     assert_eq!((done.ingested, done.quarantined), (8, 2), "{done:?}");
     assert!(done.balances() && done.resumed_shards == 0, "{done:?}");
     assert_eq!((done.files, done.dropped_pairs), (8 + 8 + 3, 0));
@@ -116,41 +109,31 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
         ("extra_row.bvh", "E-BVH-FRAMES"),
         ("truncated.npz", "E-NPZ-TRUNCATED"),
     ];
-    let rows = assert_quarantined(&out, &expected);
+    let rows = assert_quarantined(&dir.path("dataset"), &expected);
     assert!(rows["extra_row.bvh"].byte_offset.is_some());
     for row in rows.values() {
         assert!(row.source_hash.len() == 64 && !row.reason.is_empty());
     }
 
-    let allowed = dir.path().join("allowed");
-    ingest(&source, &allowed, &["--allow-quarantine", "2"], 0);
-    let strict = dir.path().join("strict");
-    ingest(&source, &strict, &["--allow-quarantine", "1%"], 3);
+    ingest(&dir, "allowed", "--allow-quarantine 2", 0);
+    ingest(&dir, "strict", "--allow-quarantine 1%", 3);
 }
 
 #[test]
 fn a_folder_that_holds_a_project_is_refused_and_stays_as_it_is() {
-    let (dir, dataset) = dataset_of(4, &[]);
-    let [source, project, plan] = ["corpus", "project", "plan"].map(|name| dir.path().join(name));
-    put(project.join("README.md"), "# my project");
-    put(project.join("data/metadata/clips.parquet"), "of a user");
+    let dir = Folder::of_dataset(4);
+    let project = dir.path("project");
+    dir.put("project/README.md", "# my project");
+    dir.put("project/data/metadata/clips.parquet", "of a user");
     let before = everything(&project);
-    for (line, from, more) in [
-        ("ingest {} --out {}", &source, &["--dry-run"][..]),
-        ("ingest {} --out {}", &source, &[]),
-        (
-            "stage plan ingest {} --into {}",
-            &source,
-            &["--out", arg(&plan)],
-        ),
-        (
-            "dataset select {} --out {}",
-            &dataset,
-            &["--where", "id like '%'"],
-        ),
-        ("dataset merge {} --out {}", &dataset, &[arg(&dataset)]),
+    for line in [
+        "ingest @corpus --out @project --dry-run",
+        "ingest @corpus --out @project",
+        "stage plan ingest @corpus --into @project --out @plan",
+        "dataset select @dataset --out @project --where \"id like '%'\"",
+        "dataset merge @dataset @dataset --out @project",
     ] {
-        let ran = typed_with(&format!("--json {line}"), &[from, &project], more);
+        let ran = dir.typed(&format!("--json {line}"));
         let refused: Value = ran.expect_code(1).json();
         assert_eq!(refused["code"], "E-OCCUPIED", "{line}: {refused}");
         assert_eq!(everything(&project), before, "{line}");
@@ -158,19 +141,18 @@ fn a_folder_that_holds_a_project_is_refused_and_stays_as_it_is() {
     // Other files are not in the way of a dataset, and stay.
     fs::rename(project.join("README.md"), project.join("notes.md")).expect("renamed");
     fs::rename(project.join("data"), project.join("tables")).expect("renamed");
-    ingest(&source, &project, &[], 0);
-    assert_eq!(text_of(project.join("notes.md")), "# my project");
+    ingest(&dir, "project", "", 0);
+    assert_eq!(dir.text("project/notes.md"), "# my project");
 }
 
 /// A write that fails half-way, as on a full disk: the process may write no file larger than 64 KB.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
-    let dir = corpus(12);
-    let source = dir.path().join("corpus");
-    let clean = ingest(&source, &dir.path().join("clean"), &[], 0);
+    let dir = Folder::of_clips(12);
+    let clean = ingest(&dir, "clean", "", 0);
 
-    let out = dir.path().join("dataset");
+    let (source, out) = (dir.path("corpus"), dir.path("dataset"));
     let binary = env!("CARGO_BIN_EXE_stance");
     // The ignored signal is inherited, so the write fails with an error instead of a kill.
     let script = r#"trap '' XFSZ; ulimit -f 64; exec "$0" ingest "$1" --out "$2""#;
@@ -182,7 +164,7 @@ fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
     ran.expect_refused("cannot write");
     assert!(Dataset::open(&out).is_err(), "nothing was committed");
 
-    let done = ingest(&source, &out, &[], 0);
+    let done = ingest(&dir, "dataset", "", 0);
     assert_eq!(done.root_hash, clean.root_hash);
     let leftovers = files_with_extension(&out, "tmp");
     assert!(leftovers.is_empty(), "{leftovers:?}");
@@ -190,39 +172,23 @@ fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
 
 #[test]
 fn a_killed_run_continues_to_the_same_dataset() {
-    let dir = corpus(48);
-    let source = dir.path().join("corpus");
-    let clean = ingest(&source, &dir.path().join("clean"), &[], 0);
-    let out = dir.path().join("dataset");
-    let staged = out.join("meta/staged");
-    let mut run = command(&["--threads", "1", "ingest", arg(&source), "--out", arg(&out)])
-        .stdout(std::process::Stdio::null())
-        .stderr(std::process::Stdio::null())
-        .spawn()
-        .expect("stance starts");
-    // Wherever the kill comes, before, during or after the write of a shard, the next run must give the same result.
-    while !staged.exists() && run.try_wait().expect("a child").is_none() {
-        std::thread::yield_now();
-    }
-    run.kill().expect("a child");
-    run.wait().expect("a child");
-    let done = ingest(&source, &out, &[], 0);
+    let dir = Folder::of_clips(48);
+    let clean = ingest(&dir, "clean", "", 0);
+    let run = dir.started("--threads 1 ingest @corpus --out @dataset", &[]);
+    kill_once(run, || dir.path("dataset/meta/staged").exists());
+    let done = ingest(&dir, "dataset", "", 0);
     assert_eq!(done.root_hash, clean.root_hash);
 }
 
 #[test]
 fn the_ingested_corpus_keeps_its_feet_on_the_ground() {
-    let dir = corpus(corpus::CLIPS_PER_TAKE);
-    let out = dir.path().join("dataset");
-    ingest(&dir.path().join("corpus"), &out, &[], 0);
+    let dir = Folder::of_clips(corpus::CLIPS_PER_TAKE);
+    ingest(&dir, "dataset", "", 0);
     let skeleton = Skeleton::smplx_neutral();
     let mut actions: BTreeMap<Option<String>, Vec<f64>> = BTreeMap::new();
-    for row in rows_of::<MotionRow>(&out) {
+    for row in dir.rows::<MotionRow>("dataset") {
         let keypoints = skeleton.motion_keypoints(&row.motion().expect("valid"));
-        let frames = keypoints.points.iter();
-        let feet: Vec<_> = frames
-            .map(|frame| FOOT_JOINTS.map(|joint| frame[joint.index()]))
-            .collect();
+        let feet = feet(&keypoints.points);
         let score = foot_score(&feet, keypoints.fps, Floor::Lowest).expect("long enough");
         actions.entry(row.action).or_default().push(score);
     }
@@ -237,10 +203,9 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
     let Some(data) = real_data("real_motion_is_ingested_or_quarantined_with_a_reason") else {
         return;
     };
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let out = dir.path().join("dataset");
+    let dir = Folder::empty();
     let [bvh, amass] = ["bvh", "amass_layout"].map(|name| data.join(name));
-    let ran = typed("--json ingest {} {} --out {}", &[&bvh, &amass, &out]);
+    let ran = dir.typed_with("--json ingest --out @dataset", &[arg(&bvh), arg(&amass)]);
     assert!([0, 3].contains(&ran.code), "{}", ran.stderr);
     let done: Ingested = ran.json();
     assert!(done.balances(), "{done:?}");
@@ -248,20 +213,19 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
         files_with_extension(&bvh, "bvh").len() + files_with_extension(&amass, "npz").len();
     assert_eq!(done.ingested + done.quarantined, motions as u64, "{done:?}");
     // Every Bandai-Namco take is a motion of a person, so none is quarantined.
-    let rows: Vec<QuarantineRow> = rows_of(&out);
+    let rows: Vec<QuarantineRow> = dir.rows("dataset");
     let of_take = |row: &&QuarantineRow| row.path.contains("bandai_namco");
     assert_eq!(rows.iter().find(of_take), None);
 }
 
 #[test]
 fn work_goes_on_where_nobody_reads_its_messages() {
-    let dir = corpus(4);
-    let (source, out) = (dir.path().join("corpus"), dir.path().join("dataset"));
-    let mut ingest = command(&["ingest", arg(&source), "--out", arg(&out)]);
+    let dir = Folder::of_clips(4);
+    let mut ingest = dir.command("ingest @corpus --out @dataset");
     let mut child = ingest.stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
     let child = child.as_mut().expect("stance starts");
     // As `2>&1 | head -0` does.
     drop(child.stderr.take());
     assert!(child.wait().expect("an end").success());
-    assert_eq!(motions_of(&out).len(), 4);
+    assert_eq!(motions_of(&dir.path("dataset")).len(), 4);
 }

@@ -11,10 +11,9 @@ use datasets_spec::record::{MotionRow, PairRow};
 use pickle::Value as Pickled;
 use serde_json::{Value, json};
 
-use crate::formats::{motion_x, put, seed_walk, walk};
+use crate::formats::{motion_x, seed_walk, walk};
 use crate::grown;
-use crate::pairs::motionfix_motion;
-use crate::util::{arg, assert_tells, corpus, json_of, motions_of, rows_of, stance, typed};
+use crate::util::{Folder, assert_tells, json_of, motions_of, put, rows_of};
 
 /// Ingests folders without bad motions.
 fn ingest(sources: &[impl AsRef<OsStr>], out: &Path) -> Value {
@@ -33,9 +32,28 @@ pub(crate) fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     splits
 }
 
+/// A motion of MotionFix: parameters of SMPL-H, z up, 30 frames per second.
+fn motionfix_motion(number: usize, frames: usize) -> Pickled {
+    let rots = (0..frames).flat_map(|frame| {
+        let mut pose = [0.0f32; 66];
+        pose[0] = std::f32::consts::FRAC_PI_2;
+        for (joint, value) in pose.iter_mut().enumerate().skip(3) {
+            let phase = 0.1 * frame as f32 + (joint * (number + 1)) as f32;
+            *value = 0.2 * phase.sin();
+        }
+        pose
+    });
+    let speed = 0.002 * (number % 7) as f32;
+    let trans = (0..frames).flat_map(|frame| [speed * frame as f32, 0.0, 0.9]);
+    Pickled::dict([
+        ("rots", Pickled::floats(&[frames, 66], rots)),
+        ("trans", Pickled::floats(&[frames, 3], trans)),
+    ])
+}
+
 /// Writes `count` pairs of MotionFix with keys from 0, and returns the keys. Pair number N, counted from `first`, has
-/// the motions 2 N and 2 N + 1.
-pub(crate) fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String> {
+/// the motions 2 N and 2 N + 1, which differ in length.
+pub(crate) fn put_motionfix(folder: &Path, first: usize, count: usize) -> Vec<String> {
     let keys: Vec<String> = (0..count).map(|key| format!("{key:06}")).collect();
     let pairs = keys.iter().zip(first..).map(|(key, number)| {
         let words = format!("raise your arm {number} times");
@@ -48,26 +66,27 @@ pub(crate) fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String
         (Pickled::text(key), pair)
     });
     let dump = pickle::encode(&Pickled::Dict(pairs.collect()));
-    put(folder, "motionfix.pth.tar", dump);
+    put(folder.join("motionfix.pth.tar"), dump);
     keys
 }
 
 #[test]
 fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let at = |name: &str| dir.path().join(name);
+    let dir = Folder::empty();
+    let at = |name: &str| dir.path(name);
     let mut sources = Vec::new();
     for (name, first, count, split) in [
         ("a", 0, 40, "train"),
         ("b", 100, 20, "val"),
         ("c", 200, 40, "test"),
     ] {
-        let keys = put_pairs(&at(name), first, count);
-        put(&at(name), "splits.json", json!({ split: keys }).to_string());
+        let keys = put_motionfix(&at(name), first, count);
+        let lists = json!({ split: keys });
+        put(at(name).join("splits.json"), lists.to_string());
         sources.push(at(name));
     }
     // The first five pairs of `c`, without a list: equal motions share a split.
-    put_pairs(&at("d"), 200, 5);
+    put_motionfix(&at("d"), 200, 5);
     sources.push(at("d"));
     let (one, several) = (at("one"), at("several"));
     ingest(&sources, &one);
@@ -90,12 +109,12 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
             assert_eq!(source.source_path, target.source_path, "{}", pair.id);
             assert_eq!(source.split, pair.split, "{}", pair.id);
         }
-        stance(&["verify", arg(dataset)]).expect_code(0);
+        grown::verified(dataset);
     }
     // Two dumps of one folder may also have a key in common.
-    put_pairs(&at("e"), 300, 3);
+    put_motionfix(&at("e"), 300, 3);
     fs::rename(at("e/motionfix.pth.tar"), at("e/motionfix_test.pth.tar")).expect("renamed");
-    put_pairs(&at("e"), 400, 2);
+    put_motionfix(&at("e"), 400, 2);
     let done = ingest(&[&at("e")], &at("both"));
     assert_eq!(rows_of::<MotionRow>(&at("both")).len(), 10);
     assert_tells(&done["remarks"], "have the keys of other pairs");
@@ -109,34 +128,32 @@ fn keys_of(export: &Path) -> Vec<String> {
 
 #[test]
 fn exports_of_motionfix_have_keys_of_their_own() {
-    let dir = corpus(80);
-    let at = |name: &str| dir.path().join(name);
-    stance(&["ingest", arg(&at("corpus")), "--out", arg(&at("dataset"))]).expect_code(0);
-    stance(&["masks", arg(&at("dataset"))]).expect_code(0);
+    let dir = Folder::of_masks(80);
     let mut keys: BTreeSet<String> = BTreeSet::new();
     let (mut count, mut sources) = (0, Vec::new());
-    for seed in ["1", "2", "3"] {
-        let (made, out) = (at(&format!("triplets{seed}")), at(&format!("fix{seed}")));
-        let line = "triplets {} --count 6 --seed {} --out {}";
-        typed(line, &[&at("dataset"), &seed, &made]).expect_code(0);
-        typed("export {} --to motionfix --out {}", &[&made, &out]).expect_code(0);
+    for seed in 1..=3 {
+        let line = format!("triplets @dataset --count 6 --seed {seed} --out @triplets{seed}");
+        dir.run(&line);
+        let line = format!("export @triplets{seed} --to motionfix --out @fix{seed}");
+        dir.run(&line);
+        let out = dir.path(&format!("fix{seed}"));
         let own = keys_of(&out);
         count += own.len();
         keys.extend(own);
         sources.push(out);
     }
     assert_eq!(keys.len(), count);
-    ingest(&sources, &at("again"));
-    assert_eq!(rows_of::<MotionRow>(&at("again")).len(), 2 * count);
+    ingest(&sources, &dir.path("again"));
+    assert_eq!(dir.rows::<MotionRow>("again").len(), 2 * count);
     // An export keeps the keys that were ingested.
-    let out = at("once-more");
-    typed("export {} --to motionfix --out {}", &[&at("again"), &out]).expect_code(0);
-    assert_eq!(keys_of(&out).into_iter().collect::<BTreeSet<_>>(), keys);
+    dir.run("export @again --to motionfix --out @once-more");
+    let kept = keys_of(&dir.path("once-more"));
+    assert_eq!(BTreeSet::from_iter(kept), keys);
 }
 
 /// Ingests two folders of one layout with the same keys, and checks that each gives the same clips as alone.
-fn two_folders(dir: &Path, name: &str) {
-    let at = |part: &str| dir.join(format!("{name}-{part}"));
+fn two_folders(dir: &Folder, name: &str) {
+    let at = |part: &str| dir.path(&format!("{name}-{part}"));
     let mut alone = BTreeMap::new();
     for part in ["a", "b"] {
         let out = at(&format!("{part}-alone"));
@@ -157,89 +174,89 @@ fn two_folders(dir: &Path, name: &str) {
 
 #[test]
 fn two_folders_of_every_exported_layout_stay_two() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let at = |name: &str| dir.path().join(name);
+    let dir = Folder::empty();
     let layouts = "humanml3d stance humanml3d-272 motionmillion webdataset";
-    for (part, seed) in [("a", "1"), ("b", "2")] {
-        let [corpus, dataset] = ["corpus", "dataset"].map(|name| at(&format!("{name}-{part}")));
-        typed("corpus --clips 40 --seed {} --out {}", &[&seed, &corpus]).expect_code(0);
-        stance(&["ingest", arg(&corpus), "--out", arg(&dataset)]).expect_code(0);
+    for (part, seed) in [("a", 1), ("b", 2)] {
+        let line = format!("corpus --clips 40 --seed {seed} --out @corpus-{part}");
+        dir.run(&line);
+        dir.run(&format!("ingest @corpus-{part} --out @dataset-{part}"));
         for layout in layouts.split(' ') {
-            let out = at(&format!("{layout}-{part}"));
-            typed("export {} --to {} --out {}", &[&dataset, &layout, &out]).expect_code(0);
+            let line = format!("export @dataset-{part} --to {layout} --out @{layout}-{part}");
+            dir.run(&line);
         }
     }
     // The second folder has no lists, so its splits are drawn.
     for list in ["train", "val", "test", "train_val", "all"] {
-        let list = at("humanml3d-b").join(list).with_extension("txt");
+        let list = dir.path("humanml3d-b").join(list).with_extension("txt");
         fs::remove_file(list).expect("removed");
     }
-    fs::remove_dir_all(at("humanml3d-272-b/split")).expect("removed");
-    fs::remove_dir_all(at("motionmillion-b/split")).expect("removed");
+    for splits in ["humanml3d-272-b/split", "motionmillion-b/split"] {
+        fs::remove_dir_all(dir.path(splits)).expect("removed");
+    }
     for layout in layouts.split(' ').chain(["dataset"]) {
-        two_folders(dir.path(), layout);
+        two_folders(&dir, layout);
     }
     // The release as its authors publish it: without the files that an export of this program adds.
     for part in ["a", "b"] {
-        let published = at(&format!("published-{part}"));
-        fs::rename(at(&format!("stance-{part}")), &published).expect("renamed");
+        let published = dir.path(&format!("published-{part}"));
+        fs::rename(dir.path(&format!("stance-{part}")), &published).expect("renamed");
         for own in ["origin.json", "masks.jsonl", "pairs.jsonl"] {
             fs::remove_file(published.join(own)).expect("removed");
         }
     }
-    two_folders(dir.path(), "published");
+    two_folders(&dir, "published");
 }
 
 #[test]
 fn two_folders_of_motionx_stay_two() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = Folder::empty();
     for (part, first) in [("a", 0), ("b", 50)] {
-        let folder = dir.path().join(format!("motionx-{part}"));
-        let names: Vec<String> = (0..20)
-            .map(|number| format!("aist/clip_{number}"))
-            .collect();
+        let put = |name: &str, bytes: &[u8]| dir.put(&format!("motionx-{part}/{name}"), bytes);
+        let names = (0..20).map(|number| format!("aist/clip_{number}"));
+        let names: Vec<String> = names.collect();
         for (number, name) in names.iter().enumerate() {
-            let file = format!("motion_data/smplx_322/{name}.npy");
             // Motions with distinct lengths, so that no two are nearly equal.
             let pace = 30.0 + (first + number) as f64;
             let poses = walk(60 + 3 * (first + number), pace);
-            put(&folder, &file, motion_x(&poses));
+            let file = format!("motion_data/smplx_322/{name}.npy");
+            put(&file, &motion_x(&poses));
         }
         // Only the first folder has lists and captions.
         if part == "a" {
-            put(&folder, "train.txt", names[..10].join("\n"));
-            put(&folder, "test.txt", names[10..].join("\n") + "\naist/gone");
+            put("train.txt", names[..10].join("\n").as_bytes());
+            let test = names[10..].join("\n") + "\naist/gone";
+            put("test.txt", test.as_bytes());
             for name in &names {
                 let file = format!("texts/semantic_labels/{name}.txt");
-                put(&folder, &file, "a person bends#a/DET#0.0#0.0");
+                put(&file, b"a person bends#a/DET#0.0#0.0");
             }
         }
     }
-    two_folders(dir.path(), "motionx");
-    for row in rows_of::<MotionRow>(&dir.path().join("motionx-one")) {
+    two_folders(&dir, "motionx");
+    for row in dir.rows::<MotionRow>("motionx-one") {
         let is_first = row.source_path.starts_with("motionx-a/");
         assert_eq!(row.captions.is_empty(), !is_first, "{}", row.source_path);
     }
     // A listed id without a motion is reported.
-    let done = ingest(&[&dir.path().join("motionx-a")], &dir.path().join("said"));
+    let done = ingest(&[dir.path("motionx-a")], &dir.path("said"));
     assert_tells(&done["remarks"], "1 ids of train.txt, test.txt");
 }
 
 #[test]
 fn two_folders_of_bones_seed_stay_two() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
+    let dir = Folder::empty();
     for (part, first) in [("a", 241), ("b", 300)] {
-        let folder = dir.path().join(format!("seed-{part}"));
+        let folder = dir.path(&format!("seed-{part}"));
         let mut table =
             "filename,content_natural_desc_1,content_type_of_movement,actor_uid,is_mirror\n"
                 .to_owned();
         for number in 0..6 {
             let name = format!("walk_{number:03}__A425");
             let file = format!("soma_uniform/bvh/230711/{name}.bvh");
-            put(&folder, &file, seed_walk(first + 6 * number));
+            put(folder.join(file), seed_walk(first + 6 * number));
             table += &format!("{name},A person walks.,walking,A425,False\n");
         }
-        put(&folder, "metadata/seed_metadata_v004.csv", table);
+        put(folder.join("metadata/seed_metadata_v004.csv"), table);
     }
-    two_folders(dir.path(), "seed");
+    two_folders(&dir, "seed");
 }

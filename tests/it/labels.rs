@@ -2,41 +2,46 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
+use std::ops::Deref;
 
 use datasets_spec::Split;
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use serde_json::{Value, json};
 
 use crate::archives::files_below;
+use crate::published::POINTER;
 use crate::util::{
-    Ran, arg, assert_has, corpus, exported, files_with_extension, ingested, json_of, list_of,
-    motions_of, put, rows_of, skipped_of, stance, text_of, texts_in, typed, typed_with,
+    Folder, Ran, assert_has, files_with_extension, json_of, list_of, motions_of, skipped_of,
+    texts_in,
 };
 
 /// BVH files of the corpus, without labels, and a folder `in` that a test fills with motions and labels.
 struct Sources {
-    dir: tempfile::TempDir,
+    folder: Folder,
     motions: Vec<Vec<u8>>,
+}
+
+impl Deref for Sources {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.folder
+    }
 }
 
 impl Sources {
     fn new() -> Self {
-        let dir = corpus(12);
-        let motions = files_with_extension(&dir.path().join("corpus"), "bvh");
+        let folder = Folder::of_clips(12);
+        let motions = files_with_extension(&folder.path("corpus"), "bvh");
         let motions = motions.iter().map(|path| fs::read(path).expect("a motion"));
         Self {
             motions: motions.collect(),
-            dir,
+            folder,
         }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
-    }
-
     fn write(&self, name: &str, content: impl AsRef<[u8]>) {
-        put(self.path("in").join(name), content);
+        self.put(&format!("in/{name}"), content);
     }
 
     /// Writes a different motion as a BVH file of each name.
@@ -46,13 +51,12 @@ impl Sources {
         }
     }
 
-    fn run(&self, out: &str, more: &[&str]) -> Ran {
-        let (source, out) = (self.path("in"), self.path(out));
-        typed_with("--json ingest {} --out {}", &[&source, &out], more)
+    fn ran(&self, out: &str, more: &str) -> Ran {
+        self.typed(&format!("--json ingest @in --out @{out} {more}"))
     }
 
-    fn ingest(&self, out: &str, more: &[&str]) -> (Value, BTreeMap<String, MotionRow>) {
-        let document = self.run(out, more).done();
+    fn ingest(&self, out: &str, more: &str) -> (Value, BTreeMap<String, MotionRow>) {
+        let document = self.ran(out, more).done();
         (document, motions_of(&self.path(out)))
     }
 }
@@ -67,9 +71,8 @@ fn problems(document: &Value) -> Vec<String> {
     let problems = &document["label_problems"];
     let (files, reasons) = (texts_in(problems, "file"), texts_in(problems, "reason"));
     let problems = files.iter().zip(reasons);
-    problems
-        .map(|(file, reason)| format!("{file}: {reason}"))
-        .collect()
+    let problems = problems.map(|(file, reason)| format!("{file}: {reason}"));
+    problems.collect()
 }
 
 #[test]
@@ -94,7 +97,7 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
     sources.write("inner/sit.txt", captions);
     let sidecar = r#"{"captions": ["he rests"], "action": "sit"}"#;
     sources.write("inner/sit.stance.json", sidecar);
-    let (document, rows) = sources.ingest("out", &[]);
+    let (document, rows) = sources.ingest("out", "");
     assert_eq!(problems(&document), [""; 0]);
 
     let walk = &rows["walk"];
@@ -134,12 +137,11 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
         assert_eq!(rows[id].license.as_deref(), Some(license), "{id}");
         assert_eq!(rows[id].subject.as_deref(), Some(subject), "{id}");
     }
-    stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
+    sources.run("verify @out");
 
     // Labels beside a file also apply if the file itself is the source.
-    let lone = sources.path("lone");
-    ingested(&sources.path("in/inner/run.bvh"), &lone, &[]);
-    let lone = motions_of(&lone);
+    sources.run("ingest @in/inner/run.bvh --out @lone");
+    let lone = motions_of(&sources.path("lone"));
     assert_eq!(lone["run"].license.as_deref(), Some("CC0-1.0"));
 }
 
@@ -147,14 +149,14 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
 fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_corrected() {
     let sources = Sources::new();
     sources.motions("a b inner/c");
-    let (_, plain) = sources.ingest("plain", &[]);
+    let (_, plain) = sources.ingest("plain", "");
     let sidecar = r#"{"captions": [{"text": "a person walks"}], "acton": "walk"}"#;
     sources.write("a.stance.json", sidecar);
     let lines = "clip,text,split\nb,a person runs,everything\nghost,he floats,\n";
     sources.write("captions.csv", lines);
     sources.write("inner/stance.toml", "license = CC0");
     sources.write("inner/c.txt", "a person sits\n12 34\n# #0#0\n");
-    let (document, labelled) = sources.ingest("out", &[]);
+    let (document, labelled) = sources.ingest("out", "");
     assert_eq!(document["ingested"], 3);
     assert_eq!(document["quarantined"], 0);
     let found = problems(&document);
@@ -179,25 +181,24 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
         assert!(notes.contains(file), "{id}: {notes}");
     }
     // A second run does nothing, and prints the same report.
-    let again: Value = sources.run("out", &[]).done();
+    let again: Value = sources.ran("out", "").done();
     assert_eq!(again["already_complete"], true);
     assert_eq!(problems(&again), found);
-    let (source, out) = (sources.path("in"), sources.path("text"));
-    let text = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(0);
+    let text = sources.run("ingest @in --out @text");
     text.expect_printed("5 labels could not be used");
     text.expect_printed("ghost");
     // When a clip is added, those with bad labels are not read again.
     sources.motions("a b inner/c d");
-    let (grown, _) = sources.ingest("out", &[]);
+    let (grown, _) = sources.ingest("out", "");
     assert_eq!(grown["growth"]["kept"], 3, "{grown}");
     assert_eq!(problems(&grown), found);
     // A corrected label is not reported any more.
     sources.write("a.stance.json", r#"{"captions": ["a person walks"]}"#);
-    let (mended, _) = sources.ingest("out", &[]);
+    let (mended, _) = sources.ingest("out", "");
     assert_eq!(problems(&mended), found[1..]);
     // Nor is a name that a motion has now.
     sources.motions("a b inner/c d ghost");
-    let (named, _) = sources.ingest("out", &[]);
+    let (named, _) = sources.ingest("out", "");
     let left = [1, 3, 4].map(|index: usize| found[index].clone());
     assert_eq!(problems(&named), left);
 }
@@ -210,13 +211,12 @@ fn git_lfs_pointers_cost_no_clip_and_no_label() {
     sources.write("b.txt", "a person runs\n");
     sources.write("k/stance.toml", "license = 'CC0-1.0'\n");
     sources.write("captions.csv", "clip,text\ngone,he leaves\n");
-    let (_, before) = sources.ingest("out", &[]);
+    let (_, before) = sources.ingest("out", "");
     assert_eq!(texts(&before["gone"]), ["he leaves"]);
-    let pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:2f90\nsize 49950\n";
     for file in ["a.stance.json", "b.txt", "k/stance.toml", "gone.bvh"] {
-        sources.write(file, pointer);
+        sources.write(file, POINTER);
     }
-    let (grown, after) = sources.ingest("out", &["--prune", "--allow-quarantine", "100%"]);
+    let (grown, after) = sources.ingest("out", "--prune --allow-quarantine 100%");
     assert_eq!(grown["growth"]["pruned"], json!([]), "{grown}");
     assert_eq!(after, before);
     assert_eq!(problems(&grown), [""; 0]);
@@ -231,16 +231,14 @@ fn names_of_motions_that_are_left_out_are_known_to_label_files() {
         "clip,text\nwalk,he walks\nrun,he runs\nsit,he sits\nbad,he lies\nghost,he floats\n";
     sources.write("captions.csv", lines);
     let ghost = ["captions.csv: line 6: no motion of its folder is called \"ghost\""];
-    let list = sources.path("ids.txt");
-    put(&list, "walk\nrun\nbad\nh*\n");
-    let more = ["--ids", arg(&list), "--allow-quarantine", "1"];
-    let (chosen, rows) = sources.ingest("out", &more);
+    sources.put("ids.txt", "walk\nrun\nbad\nh*\n");
+    let more = "--ids @ids.txt --allow-quarantine 1";
+    let (chosen, rows) = sources.ingest("out", more);
     assert_eq!(rows.len(), 2, "sit is not chosen, and bad is quarantined");
     assert_eq!(problems(&chosen), ghost);
-    let out = sources.path("out");
-    typed("dataset remove {} --where {}", &[&out, &"id='run'"]).expect_code(0);
+    sources.run("dataset remove @out --where \"id='run'\"");
     sources.motions("walk run sit hop");
-    let (grown, rows) = sources.ingest("out", &more);
+    let (grown, rows) = sources.ingest("out", more);
     assert_eq!(rows.into_keys().collect::<Vec<_>>(), ["hop", "walk"]);
     assert_eq!(problems(&grown), ghost);
 }
@@ -252,25 +250,23 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
     let names = ["001", "002"].map(|number| format!("dataset-1_byebye_chimpira_{number}"));
     sources.motions(&names.join(" "));
     sources.write(&format!("{}.txt", names[1]), "a person waves goodbye\n");
-    let (_, rows) = sources.ingest("out", &[]);
+    let (_, rows) = sources.ingest("out", "");
     assert_eq!(texts(&rows[&names[0]]), [MADE]);
     assert_eq!(rows[&names[0]].caption_origins, ["rule"]);
     assert_eq!(texts(&rows[&names[1]]), ["a person waves goodbye", MADE]);
     assert_eq!(rows[&names[1]].caption_origins, ["source", "rule"]);
-    let (_, bare) = sources.ingest("bare", &["--no-made-captions"]);
+    let (_, bare) = sources.ingest("bare", "--no-made-captions");
     assert!(bare[&names[0]].captions.is_empty());
     assert_eq!(texts(&bare[&names[1]]), ["a person waves goodbye"]);
     assert_eq!(bare[&names[0]].action.as_deref(), Some("byebye"));
 
-    let dataset = sources.path("out");
     let without = ["humanml3d", "lerobot"].map(|layout| (layout, 2));
     let marked = ["amass", "bvh", "gltf", "webdataset", "stance"].map(|layout| (layout, 0));
     for (layout, left_out) in without.into_iter().chain(marked) {
-        let out = sources.path(layout);
-        let document = exported(&dataset, layout, &out, &[]);
+        let document: Value = sources.json(&format!("export @out --to {layout} --out @{layout}"));
         assert_eq!(document["made_captions_left_out"], left_out, "{layout}");
         let mut num_marked = 0;
-        for (path, content) in files_below(&out) {
+        for (path, content) in files_below(&sources.path(layout)) {
             let text = String::from_utf8_lossy(&content);
             if text.contains(MADE) {
                 assert!(text.contains("\"rule\""), "{path} states what was made");
@@ -289,14 +285,13 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
     };
     let expected = marked(rows);
     for layout in ["amass", "bvh", "stance", "webdataset"] {
-        let again = sources.path(&format!("{layout}-again"));
-        ingested(&sources.path(layout), &again, &[]);
-        assert_eq!(marked(motions_of(&again)), expected, "{layout}");
+        sources.run(&format!("ingest @{layout} --out @{layout}-again"));
+        let again = motions_of(&sources.path(&format!("{layout}-again")));
+        assert_eq!(marked(again), expected, "{layout}");
     }
-    typed("inspect {} --clip {}", &[&dataset, &names[0]])
-        .expect_code(0)
-        .expect_printed("(made from the file name)");
-    let counted = stance(&["stats", arg(&dataset)]).expect_code(0);
+    let shown = sources.run(&format!("inspect @out --clip {}", names[0]));
+    shown.expect_printed("(made from the file name)");
+    let counted = sources.run("stats @out");
     counted.expect_printed("2 of them made from file names");
 }
 
@@ -309,8 +304,7 @@ fn licences_are_found_in_the_sources_and_travel() {
     sources.write("bandai/LICENSE", NON_COMMERCIAL);
     sources.write("style/README.md", "# Motions\n\n## License\n\nCC BY 4.0\n");
     sources.write("odd/LICENSE.txt", "Ask us before you use this.\n");
-    let source = sources.path("in");
-    let diagnosis: Value = stance(&["--json", "doctor", arg(&source)]).done();
+    let diagnosis: Value = sources.json("doctor @in");
     let found = list_of(&diagnosis["sources"][0]["licenses"]).iter();
     let fields =
         |found: &Value| ["folder", "license", "non_commercial"].map(|field| found[field].clone());
@@ -322,34 +316,32 @@ fn licences_are_found_in_the_sources_and_travel() {
             [json!("style"), json!("CC-BY-4.0"), json!(false)],
         ]
     );
-    let shown = stance(&["doctor", arg(&source)]).printed();
-    assert_has(
-        &shown,
-        &[
-            "licence at bandai: CC-BY-NC-4.0, non-commercial",
-            "odd/LICENSE.txt states no licence this program knows",
-            "some forbid commercial use",
-        ],
-    );
+    let shown = sources.run("doctor @in");
+    for said in [
+        "licence at bandai: CC-BY-NC-4.0, non-commercial",
+        "odd/LICENSE.txt states no licence this program knows",
+        "some forbid commercial use",
+    ] {
+        shown.expect_printed(said);
+    }
 
-    let (document, rows) = sources.ingest("out", &["--license", "MIT"]);
+    let (document, rows) = sources.ingest("out", "--license MIT");
     let tags: Vec<Option<&str>> = rows.values().map(|row| row.license.as_deref()).collect();
     let (nc, by, mit) = (Some("CC-BY-NC-4.0"), Some("CC-BY-4.0"), Some("MIT"));
     assert_eq!(tags, [nc, nc, mit, mit, by], "in the order of ids");
     assert_eq!(document["licenses"]["CC-BY-NC-4.0"], 2);
     let warning = "non-commercial sources are mixed with others: 2 clips under CC-BY-NC-4.0 beside 1 clips under CC-BY-4.0, 2 clips under MIT";
     assert_has(&document["remarks"].to_string(), &[warning]);
-    let out = sources.path("out");
     let listed = "\nlicense:\n- cc-by-4.0\n- cc-by-nc-4.0\n- mit\n";
     let parts = [listed, "| CC-BY-NC-4.0 | 2 | no |", warning];
-    assert_has(&text_of(out.join("README.md")), &parts);
-    let croissant: Value = json_of(out.join("croissant.json"));
+    assert_has(&sources.text("out/README.md"), &parts);
+    let croissant: Value = json_of(sources.path("out/croissant.json"));
     let url = "https://spdx.org/licenses/CC-BY-NC-4.0.html";
     assert_eq!(croissant["license"][1], url);
 
     // Later stages keep the licences on the card.
-    stance(&["masks", arg(&out)]).expect_code(0);
-    assert_has(&text_of(out.join("README.md")), &[warning]);
+    sources.run("masks @out");
+    assert_has(&sources.text("out/README.md"), &[warning]);
 }
 
 #[test]
@@ -358,10 +350,9 @@ fn splits_of_the_users_own_win_over_drawn_ones() {
     sources.motions("anna/walk anna/run bert/walk bert/run carl/sit");
     sources.write("carl/stance.toml", "subject = 'carl'\n");
     sources.write("bert/stance.toml", "split = 'val'\n");
-    let list = sources.path("splits.csv");
     let lines = "anna/walk,val\nanna/*,test\nsubject:carl,train\nbert/run.bvh,test\n";
-    put(&list, format!("clip,split\n{lines}"));
-    let (document, rows) = sources.ingest("out", &["--splits", arg(&list)]);
+    sources.put("splits.csv", format!("clip,split\n{lines}"));
+    let (document, rows) = sources.ingest("out", "--splits @splits.csv");
     assert_eq!(document["refused_splits"], json!([]));
     let splits = rows.iter().map(|(id, row)| (id.as_str(), row.split));
     assert_eq!(
@@ -374,10 +365,10 @@ fn splits_of_the_users_own_win_over_drawn_ones() {
             ("carl/sit", Split::Train),
         ]
     );
-    stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
+    sources.run("verify @out");
 
-    put(&list, "ghost,val\nanna/*,all\nanna/*,test\n");
-    let ran = sources.run("other", &["--splits", arg(&list)]);
+    sources.put("splits.csv", "ghost,val\nanna/*,all\nanna/*,test\n");
+    let ran = sources.ran("other", "--splits @splits.csv");
     let document: Value = ran.expect_code(3).json();
     let refused = list_of(&document["refused_splits"]);
     assert_eq!(refused[0]["line"], 1);
@@ -399,24 +390,24 @@ fn rates_that_single_precision_rounds_pass_verify_and_those_out_of_bounds_are_re
         let name = format!("at{}.bvh", rate.replace('.', "_"));
         sources.write(&name, format!("{head}Frame Time: {seconds:.12}\n{frames}"));
     }
-    let (_, rows) = sources.ingest("out", &["--fps", "native", "--teleports", "keep"]);
+    let (_, rows) = sources.ingest("out", "--fps native --teleports keep");
     let rates: Vec<f32> = rows.values().map(|row| row.fps).collect();
     assert_eq!(rates, [23.976, 29.97, 59.94]);
-    stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
+    sources.run("verify @out");
 
     for rate in ["1e9", "1001", "0.01"] {
-        let ran = sources.run("none", &["--fps", rate]).expect_code(2);
-        ran.expect_said("choose 1 to 1000");
+        let ran = sources.ran("none", &format!("--fps {rate}"));
+        ran.expect_code(2).expect_said("choose 1 to 1000");
         assert!(!sources.path("none").exists());
     }
     // Resampled to 1000 fps, this clip would not fit into memory. It is the only motion, so the dataset has none.
     let (head, _) = text.split_once("MOTION").expect("a motion");
     let frames = format!("{}\n", frames.lines().next().expect("a frame")).repeat(5000);
     let slow = format!("{head}MOTION\nFrames: 5000\nFrame Time: 1\n{frames}");
-    put(sources.path("slow/clip.bvh"), slow);
-    let (slow, out) = (sources.path("slow"), sources.path("quarantined"));
-    typed("ingest {} --out {} --fps 1000", &[&slow, &out]).expect_code(1);
-    let rows: Vec<QuarantineRow> = rows_of(&out);
+    sources.put("slow/clip.bvh", slow);
+    let line = "ingest @slow --out @quarantined --fps 1000";
+    sources.typed(line).expect_code(1);
+    let rows: Vec<QuarantineRow> = sources.rows("quarantined");
     assert_eq!(rows[0].code, "E-TOO-LARGE");
     assert_has(&rows[0].reason, &["choose a lower rate"]);
 }
@@ -430,7 +421,7 @@ fn lines_that_contradict_each_other_are_reported() {
         "clip,text,subject,split\nwalk,he walks,anna,train\nwalk,he strides,bert,test\n\
          run,he runs,carl,test\nrun.bvh,he jogs,carl,train\nw*,he goes,dora,\n",
     );
-    let (document, rows) = sources.ingest("out", &[]);
+    let (document, rows) = sources.ingest("out", "");
     assert_eq!(
         problems(&document),
         [
@@ -460,15 +451,13 @@ fn files_beside_a_motion_are_read_by_their_names_and_nothing_waits_for_a_pipe() 
             .status();
         assert!(made.expect("mkfifo starts").success());
     }
-    let (document, rows) = sources.ingest("out", &[]);
+    let (document, rows) = sources.ingest("out", "");
     let ids: Vec<&String> = rows.keys().collect();
     assert_eq!(ids, ["a", "b", "c", "d", "e"]);
     assert_eq!(texts(&rows["b"]), ["a person walks"]);
     let problems = problems(&document).join("\n");
-    assert_has(
-        &problems,
-        &["a.stance.json", "c.bvh", "another clip has it"],
-    );
+    let parts = ["a.stance.json", "c.bvh", "another clip has it"];
+    assert_has(&problems, &parts);
     let skipped = skipped_of(&sources.path("out"));
     for (file, reason) in [
         ("b.txt", "captions, read with the motion they describe"),
@@ -484,7 +473,7 @@ fn files_beside_a_motion_are_read_by_their_names_and_nothing_waits_for_a_pipe() 
     }
     // An id that is stated later does not rename a clip.
     sources.write("b.stance.json", r#"{ "id": "walk" }"#);
-    let (document, rows) = sources.ingest("out", &[]);
+    let (document, rows) = sources.ingest("out", "");
     assert!(rows.contains_key("b"));
     let said = document["label_problems"].to_string();
     assert_has(&said, &["the dataset has the clip as b"]);

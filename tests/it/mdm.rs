@@ -39,8 +39,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
     assert_eq!(done["left_out"], short, "{done}");
     assert_ne!(short, 0);
 
-    let settings = ["--release", "0", "--guidance", "2"];
-    let out = bench.answers("mdm", "items", "parts", &settings);
+    bench.answers("mdm", "items", "parts", "--release 0 --guidance 2");
     let edits: Vec<EditRow> = bench.rows("parts");
     let items: Vec<ItemRow> = bench.rows("parts");
     assert_eq!((edits.len(), items.len()), (8, 8));
@@ -67,14 +66,12 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
             joints.map(moved).fold(0.0, f64::max)
         };
         let (rest, part) = (most(false), most(true));
-        assert!(
-            free.contains(0) || rest < 0.5 * part,
-            "{free}: {rest} {part}"
-        );
+        let is_kept = free.contains(0) || rest < 0.5 * part;
+        assert!(is_kept, "{free}: {rest} {part}");
     }
 
-    let ours = bench.edits("ours", &[]);
-    let scores = bench.scores(&[&ours, &out], &[]);
+    bench.edits("ours", "");
+    let scores = bench.scores("@ours @parts", "");
     for system in ["MDM-BP (guidance 2)", "Identity", UNPOSED] {
         number_of(&score(&scores, system, "E2T AvgR")["mean"]);
     }

@@ -4,58 +4,45 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use annotate::store::open_sqlite;
-use annotate::wire::{Role, TaskKind, TaskState};
+use annotate::wire::Answer;
+use datasets_spec::MotionId;
 use datasets_spec::manifest::RejectedPairs;
 use datasets_spec::record::{MaskRow, PairRow, SkippedRow};
-use datasets_spec::{Dataset, MotionId};
-use pickle::Value as Pickled;
 use serde_json::{Value, json};
 
-use crate::annotate::{accept, from_json, judge_lines, settings};
+use crate::annotate::{answered, from_json, judge_lines, take_back};
 use crate::grown::{clips, files, ingest, judge, masks, verified};
-use crate::pairs::motionfix_motion;
+use crate::keys::put_motionfix;
 use crate::util::{
-    Folder, arg, assert_has, dataset_of, everything, files_with_extension, json_of, len_of, put,
-    rows_of, stance, text_of, typed,
+    Folder, assert_has, commit, everything, files_with_extension, json_of, len_of, manifest_of,
+    put, rows_of, text_of, typed,
 };
 
 /// A folder of clips of the built-in corpus, and a dataset of it with automatic masks and pairs.
-fn labelled(dir: &Path, name: &str, seed: &str) -> PathBuf {
-    let (source, dataset) = (dir.join(format!("{name}-source")), dir.join(name));
-    typed("corpus --clips 12 --seed {} --out {}", &[&seed, &source]).expect_code(0);
-    ingest(&[&source], &dataset, &[], 0);
-    stance(&["pairs", arg(&dataset)]).expect_code(0);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
-    dataset
+fn labelled(dir: &Folder, name: &str, seed: &str) -> PathBuf {
+    let source = format!("{name}-source");
+    dir.run(&format!("corpus --clips 12 --seed {seed} --out @{source}"));
+    ingest(&[dir.path(&source)], &dir.path(name), &[], 0);
+    dir.run(&format!("pairs @{name}"));
+    dir.run(&format!("masks @{name}"));
+    dir.path(name)
+}
+
+/// A dataset, and a copy of it.
+fn twice(dir: &Folder) -> [PathBuf; 2] {
+    ["dataset", "copy"].map(|name| labelled(dir, name, "0"))
 }
 
 /// People accept one style pair of a dataset, reject another, and describe a clip.
-fn annotated(dataset: &Path) {
-    stance(&["annotate", arg(dataset), "import"]).expect_code(0);
-    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    store.change_settings(1, settings(), 0).expect("settings");
-    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
-    let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+fn annotated(dir: &Folder, name: &str) {
     let mask = |part: &str| json!({ "parts": [part], "text": "waving" });
-    for (kind, answer) in [
-        (
-            TaskKind::Style,
-            json!({ "kind": "style", "verdict": "keep", "style": "proud", "extent": "whole", "text": "walk like a lion" }),
-        ),
-        (
-            TaskKind::Style,
-            json!({ "kind": "style", "verdict": "unnatural" }),
-        ),
-        (
-            TaskKind::MaskText,
-            json!({ "kind": "mask_text", "masks": [mask("LEFT_ARM"), mask("HEAD")] }),
-        ),
-    ] {
-        accept(store.as_ref(), people, kind, from_json(answer));
-    }
-    drop(store);
-    stance(&["annotate", arg(dataset), "export"]).expect_code(0);
+    let answers = [
+        json!({ "kind": "style", "verdict": "keep", "style": "proud", "extent": "whole", "text": "walk like a lion" }),
+        json!({ "kind": "style", "verdict": "unnatural" }),
+        json!({ "kind": "mask_text", "masks": [mask("LEFT_ARM"), mask("HEAD")] }),
+    ];
+    answered(&dir.path(name), answers.map(from_json::<Answer>));
+    dir.run(&format!("annotate @{name} export"));
 }
 
 fn pairs(dataset: &Path) -> BTreeMap<String, PairRow> {
@@ -64,8 +51,23 @@ fn pairs(dataset: &Path) -> BTreeMap<String, PairRow> {
 }
 
 fn rejected(dataset: &Path) -> RejectedPairs {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.manifest().rejected_pairs().expect("a list")
+    manifest_of(dataset).rejected_pairs().expect("a list")
+}
+
+/// A person rejects a mask of a dataset, or accepts it.
+fn judged_one(dataset: &Path, author: &str, mask: &MaskRow, verdict: &str) {
+    judge_lines(dataset, author, |line| {
+        if line["mask"] == mask.id.as_str() {
+            line["verdict"] = json!(verdict);
+        }
+    })
+    .expect_code(0);
+}
+
+/// Changes the captions beside a motion file.
+fn describe_anew(file: &Path) {
+    let sidecar = file.with_extension("stance.json");
+    put(&sidecar, text_of(&sidecar).replace("person", "human"));
 }
 
 /// Merges two datasets, checks that the result passes `verify`, and returns the document and what was said.
@@ -77,18 +79,16 @@ fn merged(a: &Path, b: &Path, out: &Path) -> (Value, String) {
 
 #[test]
 fn what_people_judged_stands_alone_after_a_merge_with_a_copy() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let [dataset, copy] = ["dataset", "copy"].map(|name| labelled(dir.path(), name, "0"));
+    let dir = Folder::empty();
+    let [dataset, copy] = twice(&dir);
     let automatic = masks(&copy);
-    let out = dir.path().join("equal");
+    let out = dir.path("equal");
     let (done, _) = merged(&dataset, &copy, &out);
-    assert_eq!(
-        [&done["gave_way"], &done["rejected"]],
-        [&json!({}), &json!([])]
-    );
+    assert_eq!(done["gave_way"], json!({}));
+    assert_eq!(done["rejected"], json!([]));
     assert_eq!(masks(&out), automatic);
     assert_eq!(pairs(&out), pairs(&copy));
-    annotated(&dataset);
+    annotated(&dir, "dataset");
     let (judged, paired, list) = (masks(&dataset), pairs(&dataset), rejected(&dataset));
     assert_eq!((paired.len(), list.len()), (9, 1));
     let described = judged.values().find(|mask| mask.text_origin == "human");
@@ -97,7 +97,7 @@ fn what_people_judged_stands_alone_after_a_merge_with_a_copy() {
     let gave_way = automatic.values().filter(of_clip).count();
     assert!(gave_way > 0, "automatic masks of the described clip");
     for (name, [a, b]) in [("one", [&dataset, &copy]), ("two", [&copy, &dataset])] {
-        let out = dir.path().join(name);
+        let out = dir.path(name);
         let (done, said) = merged(a, b, &out);
         assert_eq!(masks(&out), judged, "{name}");
         assert_eq!(pairs(&out), paired, "{name}");
@@ -105,39 +105,22 @@ fn what_people_judged_stands_alone_after_a_merge_with_a_copy() {
         assert_eq!(done["gave_way"], json!({ "masks": gave_way, "pairs": 1 }));
         assert_eq!(len_of(&done["rejected"]), 1, "{done}");
         let counted = format!("{gave_way} automatic masks gave way to those of the other dataset");
-        assert!(said.contains(&counted), "{said}");
-        assert!(
-            said.contains("1 pairs and masks that people rejected left"),
-            "{said}"
-        );
+        let left = "1 pairs and masks that people rejected left";
+        assert_has(&said, &[&counted, left]);
         // No stage makes the rejected pair again.
-        stance(&["pairs", arg(&out)]).expect_code(0);
+        dir.run(&format!("pairs @{name}"));
         assert_eq!(pairs(&out), paired, "{name}");
     }
 }
 
 #[test]
 fn items_are_not_merged_into_an_empty_dataset() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let (_corpus, dataset) = dataset_of(12, &[]);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
-    let items = dir.path().join("items");
-    let args = [
-        "items",
-        arg(&dataset),
-        "--split",
-        "train",
-        "--count",
-        "4",
-        "--out",
-        arg(&items),
-    ];
-    stance(&args).expect_code(0);
-    for pair in [[&items, &items], [&dataset, &items]] {
-        let out = dir.path().join("merged");
-        let ran = typed("dataset merge {} {} --out {}", &[&pair[0], &pair[1], &out]);
-        ran.expect_refused("holds no motions, only items");
-        assert!(!out.exists());
+    let dir = Folder::of_masks(12);
+    dir.run("items @dataset --split train --count 4 --out @items");
+    for both in ["@items @items", "@dataset @items"] {
+        let line = format!("dataset merge {both} --out @merged");
+        dir.refused(&line, "holds no motions, only items");
+        assert!(!dir.path("merged").exists());
     }
 }
 
@@ -156,10 +139,8 @@ fn datasets_that_describe_a_clip_differently_are_not_merged_unasked() {
         |names: &str, more: &str| dir.typed(&format!("--json dataset merge {names} {more}"));
     for names in ["@first @second", "@second @first"] {
         let refused = merge(names, "--out @never").refusal();
-        assert_has(
-            &refused,
-            &["captions of 1 (such as ", "license of 1", "--take-first"],
-        );
+        let parts = ["captions of 1 (such as ", "license of 1", "--take-first"];
+        assert_has(&refused, &parts);
     }
     let done: Value = merge("@first @second", "--take-first --out @one").done();
     let differing = done["differing"].as_object().expect("a map");
@@ -187,11 +168,8 @@ fn a_list_of_rejections_in_an_unknown_form_is_not_taken_for_none() {
         "masks @dataset --accept @lines.jsonl --author ann",
         "dataset restore @dataset --to 1",
     ] {
-        let refused = dir.typed(line).refusal();
-        assert_has(
-            &refused,
-            &["rejected_masks in a form that this program does not know"],
-        );
+        let unknown = "rejected_masks in a form that this program does not know";
+        dir.refused(line, unknown);
         assert!(everything(&dir.path("dataset/data")) == before, "{line}");
         assert!(!dir.path("dataset/meta/manifest-3.json").exists(), "{line}");
     }
@@ -199,10 +177,10 @@ fn a_list_of_rejections_in_an_unknown_form_is_not_taken_for_none() {
 
 #[test]
 fn rejections_name_the_clips_by_the_ids_that_a_merge_gives_them() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let [a, b] = [("a", "0"), ("b", "1")].map(|(name, seed)| labelled(dir.path(), name, seed));
-    annotated(&b);
-    let out = dir.path().join("both");
+    let dir = Folder::empty();
+    let [a, b] = [("a", "0"), ("b", "1")].map(|(name, seed)| labelled(&dir, name, seed));
+    annotated(&dir, "b");
+    let out = dir.path("both");
     let (done, _) = merged(&a, &b, &out);
     assert_eq!(done["renamed"].as_object().expect("a map").len(), 12);
     let renamed = |id: MotionId| MotionId::parse(&format!("b/{id}")).expect("an id");
@@ -214,24 +192,34 @@ fn rejections_name_the_clips_by_the_ids_that_a_merge_gives_them() {
     // The pair of the first dataset whose clips have the ids of the rejected one stays.
     assert_eq!(done["rejected"], json!([]));
     assert_eq!(pairs(&out).len(), 10 + 9);
-    stance(&["pairs", arg(&out)]).expect_code(0);
+    dir.run("pairs @both");
     assert_eq!(pairs(&out).len(), 10 + 9);
+    // A mask and a pair of one id both get another id, and both are listed.
+    for dataset in [&a, &b] {
+        let mut rows: Vec<MaskRow> = rows_of(dataset);
+        rows[0].id = "same".to_owned();
+        commit(dataset, &rows, |row| row.split, "masks");
+        let mut rows: Vec<PairRow> = rows_of(dataset);
+        rows[0].id = "same".to_owned();
+        commit(dataset, &rows, |row| row.split, "pairs");
+    }
+    let done: Value = dir.json("dataset merge @a @b --out @again");
+    for table in ["masks", "pairs"] {
+        assert_eq!(done["renamed_labels"][table]["same"], "same (b)", "{done}");
+    }
 }
 
 #[test]
 fn masks_that_people_made_in_both_datasets_stay_and_automatic_ones_give_way() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let [dataset, copy] = ["dataset", "copy"].map(|name| labelled(dir.path(), name, "0"));
+    let dir = Folder::empty();
+    let [dataset, copy] = twice(&dir);
     let judged = judge(&dataset);
-    let drafts = dir.path().join("drafts.jsonl");
-    typed("masks {} --drafts {}", &[&copy, &drafts]).expect_code(0);
-    put(
-        &drafts,
-        text_of(&drafts).replacen("\"todo\"", "\"accept\"", 1),
-    );
-    typed("masks {} --accept {} --author ben", &[&copy, &drafts]).expect_code(0);
+    dir.run("masks @copy --drafts @drafts.jsonl");
+    let drafts = dir.text("drafts.jsonl");
+    dir.put("drafts.jsonl", drafts.replacen("\"todo\"", "\"accept\"", 1));
+    dir.run("masks @copy --accept @drafts.jsonl --author ben");
     for (name, [a, b]) in [("one", [&dataset, &copy]), ("two", [&copy, &dataset])] {
-        let out = dir.path().join(name);
+        let out = dir.path(name);
         let (done, _) = merged(a, b, &out);
         let all = masks(&out);
         assert_eq!(all.len(), judged.len() + 1, "{done}");
@@ -244,13 +232,10 @@ fn masks_that_people_made_in_both_datasets_stay_and_automatic_ones_give_way() {
 
 #[test]
 fn rejected_pairs_stay_rejected_when_a_dataset_goes_back() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let dataset = labelled(dir.path(), "dataset", "0");
-    let before = Dataset::open(&dataset)
-        .expect("a dataset")
-        .manifest()
-        .version;
-    annotated(&dataset);
+    let dir = Folder::empty();
+    let dataset = labelled(&dir, "dataset", "0");
+    let before = manifest_of(&dataset).version;
+    annotated(&dir, "dataset");
     let (paired, list) = (pairs(&dataset), rejected(&dataset));
     assert_eq!((paired.len(), list.len()), (9, 1));
     // A person described a clip by two masks, and left out the other automatic ones.
@@ -264,172 +249,114 @@ fn rejected_pairs_stay_rejected_when_a_dataset_goes_back() {
     };
     // What the annotation project knows of the dataset.
     let known = || {
-        let mut facts = Dataset::open(&dataset)
-            .expect("a dataset")
-            .manifest()
-            .facts
-            .clone();
+        let mut facts = manifest_of(&dataset).facts;
         facts.retain(|name, _| name.starts_with("annotate_"));
         facts
     };
     let (masks_before, known_before) = (described(), known());
     assert!(masks_before.len() == 2 && !known_before.is_empty());
-    let to = before.to_string();
-    let restore = ["--json", "dataset", "restore", arg(&dataset), "--to", &to];
-    let done: Value = stance(&restore).done();
+    let restore = || dir.json::<Value>(&format!("dataset restore @dataset --to {before}"));
+    let done = restore();
     assert_eq!(len_of(&done["rejected"]), 1, "{done}");
     assert_eq!(rejected(&dataset), list);
     assert_eq!(pairs(&dataset), paired);
-    assert_eq!(
-        (described(), known()),
-        (masks_before, known_before),
-        "{done}"
-    );
-    let again: Value = stance(&restore).done();
-    assert_eq!(again["is_current"], true);
-    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    let now = (described(), known());
+    assert_eq!(now, (masks_before, known_before), "{done}");
+    assert_eq!(restore()["is_current"], true);
+    dir.run("pairs @dataset");
     assert_eq!(pairs(&dataset), paired);
 }
 
 #[test]
 fn masks_that_people_rejected_stay_out_until_they_are_replaced() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let [dataset, copy] = ["dataset", "copy"].map(|name| labelled(dir.path(), name, "0"));
+    let dir = Folder::empty();
+    let [dataset, _] = twice(&dir);
     let automatic = masks(&dataset);
     let clip_of = |mask: &MaskRow| mask.motion_id.clone();
     let bare = clip_of(automatic.values().next().expect("a mask"));
     let of_bare = |mask: &MaskRow| mask.motion_id == bare;
     // A reviewer rejects all masks of one clip, and one of several masks of another.
-    let mut parts: BTreeMap<MotionId, Vec<String>> = BTreeMap::new();
+    let mut parts: BTreeMap<MotionId, Vec<&str>> = BTreeMap::new();
     for mask in automatic.values().filter(|mask| !of_bare(mask)) {
-        parts
-            .entry(clip_of(mask))
-            .or_default()
-            .push(mask.id.clone());
+        parts.entry(clip_of(mask)).or_default().push(&mask.id);
     }
     let (_, several) = parts.iter().find(|(_, ids)| ids.len() > 1).expect("one");
-    let rejected: Vec<String> = automatic
-        .values()
-        .filter(|mask| of_bare(mask) || mask.id == several[0])
-        .map(|mask| mask.id.clone())
-        .collect();
-    let file = dir.path().join("drafts.jsonl");
-    stance(&["masks", arg(&dataset), "--drafts", arg(&file)]).expect_code(0);
-    let is_rejected = |line: &str| {
-        rejected
-            .iter()
-            .any(|id| line.contains(&format!("\"{id}\"")))
-    };
-    let lines: Vec<String> = text_of(&file)
-        .lines()
-        .map(|line| match is_rejected(line) {
-            true => line.replace("\"todo\"", "\"reject\""),
-            false => line.to_owned(),
-        })
-        .collect();
-    put(&file, lines.join("\n"));
-    let accept = [
-        "--json",
-        "masks",
-        arg(&dataset),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    let done: Value = stance(&accept).done();
-    assert_eq!(
-        done["rejected"],
-        json!({ "masks": rejected.len(), "clips": 1 })
-    );
+    let is_rejected = |mask: &&MaskRow| of_bare(mask) || mask.id == several[0];
+    let rejected = automatic.values().filter(is_rejected);
+    let rejected: Vec<&str> = rejected.map(|mask| mask.id.as_str()).collect();
+    let judged = judge_lines(&dataset, "ann", |line| {
+        if rejected.iter().any(|id| line["mask"] == *id) {
+            line["verdict"] = json!("reject");
+        }
+    });
+    let done: Value = judged.done();
+    let counts = json!({ "masks": rejected.len(), "clips": 1 });
+    assert_eq!(done["rejected"], counts);
     let kept = masks(&dataset);
     assert_eq!(kept.len(), automatic.len() - rejected.len());
-    for again in [&["--add"][..], &[], &["--where", "NOT has_mask"]] {
-        stance(&[&["masks", arg(&dataset)], again].concat()).expect_code(0);
-        assert_eq!(masks(&dataset), kept, "{again:?}");
+    for again in ["--add", "", "--where 'NOT has_mask'"] {
+        dir.run(&format!("masks @dataset {again}"));
+        assert_eq!(masks(&dataset), kept, "{again}");
     }
 
     // They stay out of a dataset that grows, of one that is merged with a copy that has them, and of an older version.
-    let source = dir.path().join("dataset-source");
-    let sidecar = files(&source)
-        .into_iter()
-        .map(|file| file.with_extension("stance.json"))
-        .find(|file| file.exists())
-        .expect("a sidecar");
-    put(&sidecar, text_of(&sidecar).replace("person", "human"));
+    let source = dir.path("dataset-source");
+    let mut described = files(&source).into_iter();
+    let described = described.find(|file| file.with_extension("stance.json").exists());
+    describe_anew(&described.expect("a sidecar"));
     ingest(&[&source], &dataset, &[], 0);
-    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    dir.run("masks @dataset --add");
     assert_eq!(masks(&dataset).len(), kept.len());
-    let out = dir.path().join("merged");
-    let line = "--json dataset merge {} {} --out {} --take-first";
-    let ran = typed(line, &[&copy, &dataset, &out]).expect_code(0);
+    let ran = dir.run("--json dataset merge @copy @dataset --out @merged --take-first");
     ran.expect_said("masks that people rejected left");
     assert_eq!(ran.json::<Value>()["rejected"], json!(rejected));
-    verified(&out);
-    stance(&["masks", arg(&out), "--add"]).expect_code(0);
-    assert_eq!(masks(&out).len(), kept.len());
-    typed("--json dataset restore {} --to 3", &[&dataset]).expect_code(0);
+    dir.run("verify @merged");
+    dir.run("masks @merged --add");
+    assert_eq!(masks(&dir.path("merged")).len(), kept.len());
+    dir.run("--json dataset restore @dataset --to 3");
     assert_eq!(masks(&dataset).len(), kept.len());
 
-    stance(&["masks", arg(&dataset), "--replace"]).expect_code(0);
+    dir.run("masks @dataset --replace");
     assert_eq!(masks(&dataset).len(), automatic.len());
 }
 
 #[test]
 fn what_people_rejected_in_a_dataset_goes_along_when_it_is_a_source() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let dataset = labelled(dir.path(), "dataset", "0");
-    annotated(&dataset);
-    let first = masks(&dataset)
-        .into_values()
-        .find(|mask| mask.text_origin != "human");
+    let dir = Folder::empty();
+    let dataset = labelled(&dir, "dataset", "0");
+    annotated(&dir, "dataset");
+    let mut all = masks(&dataset).into_values();
+    let first = all.find(|mask| mask.text_origin != "human");
     let first = first.expect("a mask that nobody judged");
-    judge_lines(&dataset, "ben", |line| {
-        if line["mask"] == first.id.as_str() {
-            line["verdict"] = json!("reject");
-        }
-    })
-    .expect_code(0);
-    let out = dir.path().join("out");
+    judged_one(&dataset, "ben", &first, "reject");
+    let out = dir.path("out");
     ingest(&[&dataset], &out, &[], 0);
     let (before, paired) = (masks(&out), pairs(&out));
     assert!(!before.contains_key(&first.id));
     assert_eq!(rejected(&out), rejected(&dataset));
-    stance(&["masks", arg(&out), "--add"]).expect_code(0);
-    stance(&["pairs", arg(&out)]).expect_code(0);
+    dir.run("masks @out --add");
+    dir.run("pairs @out");
     assert_eq!(masks(&out), before);
     assert_eq!(pairs(&out), paired);
 
     // They hold for the same files at another rate.
-    let source = dir.path().join("dataset-source");
+    let source = dir.path("dataset-source");
     ingest(&[&source], &dataset, &["--fps", "30", "--new-version"], 0);
-    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    dir.run("masks @dataset --add");
     assert!(!masks(&dataset).contains_key(&first.id));
 }
 
 #[test]
 fn a_mask_that_people_rejected_after_others_had_accepted_it_does_not_come_back() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let dataset = labelled(dir.path(), "dataset", "0");
+    let dir = Folder::empty();
+    let dataset = labelled(&dir, "dataset", "0");
     let first = masks(&dataset).into_values().next().expect("a mask");
-    let judged = |author: &str, verdict: &str| {
-        judge_lines(&dataset, author, |line| {
-            if line["mask"] == first.id.as_str() {
-                line["verdict"] = json!(verdict);
-            }
-        })
-        .expect_code(0);
-    };
-    judged("ann", "accept");
+    judged_one(&dataset, "ann", &first, "accept");
     let accepted = masks(&dataset);
     assert_eq!(accepted[&first.id].author, "ann");
-    let version = Dataset::open(&dataset)
-        .expect("a dataset")
-        .manifest()
-        .version;
-    judged("ben", "reject");
-    let number = version.to_string();
-    let done: Value = typed("--json dataset restore {} --to {}", &[&dataset, &number]).done();
+    let version = manifest_of(&dataset).version;
+    judged_one(&dataset, "ben", &first, "reject");
+    let done: Value = dir.json(&format!("dataset restore @dataset --to {version}"));
     assert_eq!(done["rejected"], json!([first.id]));
     assert!(!masks(&dataset).contains_key(&first.id));
     assert_eq!(masks(&dataset).len(), accepted.len() - 1);
@@ -437,48 +364,29 @@ fn a_mask_that_people_rejected_after_others_had_accepted_it_does_not_come_back()
 
 #[test]
 fn a_clip_that_an_answer_leaves_without_masks_gets_none_until_the_answer_is_taken_back() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let dataset = labelled(dir.path(), "dataset", "0");
+    let dir = Folder::empty();
+    let dataset = labelled(&dir, "dataset", "0");
     let automatic = masks(&dataset);
-    stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
-    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    store.change_settings(1, settings(), 0).expect("settings");
-    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
-    let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
     let answer = json!({ "kind": "mask_text", "masks": [], "count_reason": "other", "note": "nothing moves" });
-    accept(
-        store.as_ref(),
-        people,
-        TaskKind::MaskText,
-        from_json(answer),
-    );
-    drop(store);
-    stance(&["annotate", arg(&dataset), "export"]).expect_code(0);
+    let (_, reviewer) = answered(&dataset, [from_json(answer)]);
+    dir.run("annotate @dataset export");
     let kept = masks(&dataset);
     assert!(kept.len() < automatic.len());
-    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    dir.run("masks @dataset --add");
     assert_eq!(masks(&dataset), kept);
 
-    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
-    let tasks = (1..400).filter_map(|id| store.task_record(id).ok());
-    let mut accepted = tasks.filter(|task| task.state == TaskState::Accepted);
-    let task = accepted.next().expect("an accepted task").id;
-    let reopen = json!({ "idem_key": "reopen-it", "task": task, "lease_epoch": 0, "decision": "reopen",
-        "comment": "look again" });
-    let reopened = store.review(people.1, from_json(reopen), 0);
-    reopened.expect("reopens");
-    drop(store);
-    stance(&["annotate", arg(&dataset), "export"]).expect_code(0);
-    stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
+    assert_eq!(take_back(&dataset, reviewer), 1);
+    dir.run("annotate @dataset export");
+    dir.run("masks @dataset --add");
     assert_eq!(masks(&dataset), automatic);
 }
 
 #[test]
 fn the_source_of_clips_that_both_datasets_had_adds_none_to_the_merged_one() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let [a, b] = ["a", "b"].map(|name| labelled(dir.path(), name, "0"));
-    let [source, other] = ["a-source", "b-source"].map(|name| dir.path().join(name));
-    let out = dir.path().join("both");
+    let dir = Folder::empty();
+    let [a, b] = ["a", "b"].map(|name| labelled(&dir, name, "0"));
+    let [source, other] = ["a-source", "b-source"].map(|name| dir.path(name));
+    let out = dir.path("both");
     let (done, _) = merged(&a, &b, &out);
     assert_eq!(len_of(&done["shared"]), 12);
     let before = clips(&out);
@@ -492,8 +400,7 @@ fn the_source_of_clips_that_both_datasets_had_adds_none_to_the_merged_one() {
     let grow = |folder: &Path, more: &[&str]| ingest(&[folder], &out, more, 0);
     assert_eq!(grow(&other, &[])["already_complete"], true);
     // Nor do they if labels beside a file changed, or files lie elsewhere in their source.
-    let sidecar = files(&other)[0].with_extension("stance.json");
-    put(&sidecar, text_of(&sidecar).replace("person", "human"));
+    describe_anew(&files(&other)[0]);
     fs::rename(other.join("bvh"), other.join("moved#1")).expect("renamed");
     for _ in 0..2 {
         let grown = grow(&other, &[]);
@@ -502,9 +409,9 @@ fn the_source_of_clips_that_both_datasets_had_adds_none_to_the_merged_one() {
         assert_eq!(clips(&out), before);
     }
     // The same file in a third source is another clip, and so is a file with other content.
-    let third = dir.path().join("third/take.npz");
-    put(&third, fs::read(&files(&source)[0]).expect("read"));
-    assert_eq!(grow(&dir.path().join("third"), &[])["growth"]["new"], 1);
+    let take = fs::read(&files(&source)[0]).expect("read");
+    dir.put("third/take.npz", take);
+    assert_eq!(grow(&dir.path("third"), &[])["growth"]["new"], 1);
     let found = files(&other);
     fs::copy(&found[0], &found[1]).expect("copied");
     assert_eq!(grow(&other, &[])["growth"]["new"], 1);
@@ -520,27 +427,17 @@ fn the_source_of_clips_that_both_datasets_had_adds_none_to_the_merged_one() {
 
 #[test]
 fn a_release_of_both_datasets_adds_no_motion_of_its_file_to_the_merged_one() {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let at = |name: &str| dir.path().join(name);
-    let pairs = (0..3).map(|number| {
-        let pair = Pickled::dict([
-            ("motion_source", motionfix_motion(2 * number, 50)),
-            ("motion_target", motionfix_motion(2 * number + 1, 61)),
-            ("text", Pickled::text("raise your arm")),
-        ]);
-        (Pickled::text(&format!("{number:06}")), pair)
-    });
-    let dump = pickle::encode(&Pickled::Dict(pairs.collect()));
+    let dir = Folder::empty();
     let native = ["--fps", "native"];
     for name in ["a", "b"] {
-        let source = at(&format!("{name}-source"));
-        put(source.join("motionfix.pth.tar"), &dump);
-        ingest(&[&source], &at(name), &native, 0);
+        let source = dir.path(&format!("{name}-source"));
+        put_motionfix(&source, 0, 3);
+        ingest(&[&source], &dir.path(name), &native, 0);
     }
-    let out = at("both");
-    let (done, _) = merged(&at("a"), &at("b"), &out);
+    let out = dir.path("both");
+    let (done, _) = merged(&dir.path("a"), &dir.path("b"), &out);
     assert_eq!(len_of(&done["shared"]), 6, "{done}");
-    let grown = ingest(&[at("b-source")], &out, &native, 0);
+    let grown = ingest(&[dir.path("b-source")], &out, &native, 0);
     assert_eq!(clips(&out).len(), 6);
     assert_eq!(grown["already_complete"], true, "{grown}");
 }

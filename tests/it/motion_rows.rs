@@ -8,7 +8,7 @@ use eval::answers::Answered;
 use eval::rows::{EditFacts, ItemFacts};
 use work::commit_edits;
 
-use crate::util::files_with_extension;
+use crate::util::{Folder, files_with_extension};
 
 /// A motion of three equal frames at x = `place` metres.
 fn motion(place: usize) -> Motion {
@@ -37,10 +37,10 @@ fn motions_are_read_by_the_positions_of_their_rows_and_not_before() {
         };
         items.iter().enumerate().map(answer).collect()
     };
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = Folder::empty();
     let commit = |edits: &[EditRow]| {
         let (name, skeleton) = (&edits[0].system, Skeleton::smplx_neutral());
-        let root = folder.path().join(name);
+        let root = folder.path(name);
         commit_edits(&root, &items, edits, &skeleton, name, "test").expect("writes");
         root
     };

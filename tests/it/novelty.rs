@@ -11,9 +11,8 @@ use crate::util::{Folder, motions_of};
 /// Makes the dataset of the built-in test set from a corpus of `clips` clips.
 fn with_dataset(clips: &str) -> Folder {
     let folder = Folder::empty();
-    folder.run(&format!(
-        "corpus --clips {clips} --adjusted 2 --held-out --out @corpus"
-    ));
+    let line = format!("corpus --clips {clips} --adjusted 2 --held-out --out @corpus");
+    folder.run(&line);
     folder.run("ingest @corpus --pairs @corpus/pairs.csv --out @dataset");
     folder.run("masks @dataset");
     folder.run("pairs @dataset");
@@ -60,10 +59,8 @@ impl Rules {
         let (kind, id) = item.origin.split_once(' ').expect("kind and id");
         if kind == "mask" {
             let group = |row: &MotionRow| {
-                let who = row
-                    .subject
-                    .clone()
-                    .map(|who| (row.source_name.clone(), who));
+                let source = &row.source_name;
+                let who = row.subject.clone().map(|who| (source.clone(), who));
                 (row.action.clone(), row.style.clone(), who)
             };
             let has_group = |clip: &MotionRow| self.has(|row| group(row) == group(clip));
@@ -118,11 +115,8 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
     folder.run("items @dataset --count 400 --seed 5 --out @any");
     let any: Vec<ItemRow> = folder.rows("any");
     let found = any.iter().filter_map(|item| item.novelty.as_deref());
-    let found: BTreeSet<&str> = found.collect();
-    assert_eq!(
-        found,
-        BTreeSet::from(["retake", "combination", "action", "unshown"])
-    );
+    let all = BTreeSet::from(["retake", "combination", "action", "unshown"]);
+    assert_eq!(found.collect::<BTreeSet<_>>(), all);
     holds(&any);
 }
 
@@ -163,12 +157,10 @@ fn what_training_has_shown_does_not_depend_on_the_clips_that_questions_are_drawn
 /// Ingests the folder of one limit with one of its lists of pairs, and draws all its items.
 fn questions(folder: &Folder, limit: &str, list: &str) -> Vec<ItemRow> {
     let (sources, name) = (format!("@limits/{limit}"), format!("{list}-{limit}"));
-    folder.run(&format!(
-        "ingest {sources} --pairs {sources}/{list} --out @dataset-{name}"
-    ));
-    folder.run(&format!(
-        "items @dataset-{name} --count all --out @items-{name}"
-    ));
+    let line = format!("ingest {sources} --pairs {sources}/{list} --out @dataset-{name}");
+    folder.run(&line);
+    let line = format!("items @dataset-{name} --count all --out @items-{name}");
+    folder.run(&line);
     folder.rows(&format!("items-{name}"))
 }
 

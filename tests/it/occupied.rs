@@ -32,20 +32,17 @@ fn assert_held(bench: &Bench, line: &str, folder: &str, parts: &[&str]) {
 fn items_and_edits_take_the_place_of_none_but_their_own() {
     let bench = Bench::open();
     train_nearest(&bench);
-    bench.items("few", &["--count", "4"]);
-    bench.edits("edits", &[]);
-    let one = format!(
-        "edit @editor --motion {} --text wave",
-        bench.clip().display()
-    );
+    bench.items("few", "--count 4");
+    bench.edits("edits", "");
+    let one = "edit @editor --motion @walk.bvh --text wave";
     bench.run(&format!("{one} --out @one"));
     bench.run("items export @items --out @questions");
 
     let single = "the edit of a single motion";
     let held = |line: &str, folder: &str, parts: &[&str]| assert_held(&bench, line, folder, parts);
     let answer = "edit @editor --items";
-    held(&one, "items", &["8 other items", single]);
-    held(&one, "edits", &["edits of 8 test items", single]);
+    held(one, "items", &["8 other items", single]);
+    held(one, "edits", &["edits of 8 test items", single]);
     held(&format!("{answer} @items"), "one", &[single, UNPOSED]);
     held(
         &format!("{answer} @few"),
@@ -75,10 +72,10 @@ fn items_and_edits_take_the_place_of_none_but_their_own() {
 
     // The same command changes nothing; other settings and more items of the same system are a new version.
     let version = |folder: &str| bench.dataset_at(folder).manifest().version;
-    bench.edits("edits", &[]);
+    bench.edits("edits", "");
     assert_eq!(version("edits"), 1);
-    bench.edits("edits", &["--guidance", "2"]);
-    bench.answers("editor", "few", "edits", &[]);
+    bench.edits("edits", "--guidance 2");
+    bench.answers("editor", "few", "edits", "");
     assert_eq!(version("edits"), 3);
     assert_eq!(bench.rows::<EditRow>("edits").len(), 4);
     bench.run("verify @edits");
@@ -88,7 +85,7 @@ fn items_and_edits_take_the_place_of_none_but_their_own() {
     assert!(!ran.stderr.contains("other items"), "{ran}");
 
     // Edits may stand beside the items that they answer, which then stay.
-    bench.answers("editor", "items", "items", &[]);
+    bench.answers("editor", "items", "items", "");
     bench.run("verify @items");
     held("items @dataset --count 5", "items", &["which other items"]);
 }
@@ -96,7 +93,7 @@ fn items_and_edits_take_the_place_of_none_but_their_own() {
 #[test]
 fn items_recordings_and_scores_keep_out_of_datasets() {
     let bench = Bench::open();
-    bench.edits("edits", &[]);
+    bench.edits("edits", "");
     let before = root_hash_of(&bench.path("dataset"));
     for (line, what) in [
         ("items @dataset --count 4", "items"),
@@ -107,9 +104,8 @@ fn items_recordings_and_scores_keep_out_of_datasets() {
         let ran = bench.typed(&format!("--json {line} --out @dataset"));
         let ran = ran.expect_code(1);
         assert_eq!(ran.json::<Value>()["code"], "E-OCCUPIED", "{ran}");
-        ran.expect_said(&format!(
-            "and {what} do not belong beside it; name another folder"
-        ));
+        let said = format!("and {what} do not belong beside it; name another folder");
+        ran.expect_said(&said);
         assert_eq!(root_hash_of(&bench.path("dataset")), before);
     }
 }
@@ -128,21 +124,20 @@ fn items_and_triplets_keep_out_of_a_training_run() {
 fn times_and_warnings_stay_with_their_edits_and_untimed_systems_have_no_row() {
     let bench = Bench::open();
     train_nearest(&bench);
-    let edits = bench.edits("edits", &["--name", "C"]);
-    bench.answers("nearest", "items", "found", &[]);
+    bench.edits("edits", "--name C");
+    bench.answers("nearest", "items", "found", "");
     let timed = |more: &str| bench.typed(&format!("eval --table a4 {more}"));
     let rows: Value = timed("@found @edits --json").done();
     assert_eq!(len_of(&rows), 1, "{rows}");
     assert_eq!(rows[0]["name"], "edits");
     let ran = timed("@found @edits").expect_code(0);
     ran.expect_said("found has no times");
-    assert!(
-        !ran.stdout.contains("found") && !ran.stdout.contains("NaN"),
-        "{ran}"
-    );
+    let has = |word: &str| ran.stdout.contains(word);
+    assert!(!has("found") && !has("NaN"), "{ran}");
 
     // Another program's answers take the place of the edits of the same name.
     bench.run("items export @items --out @questions");
+    let edits = bench.path("edits");
     let is_beside = || ["times.json", "remarks.json"].map(|name| edits.join(name).exists());
     assert_eq!(is_beside(), [true; 2]);
     bench.run("edits import @questions --items @items --name C --out @edits");

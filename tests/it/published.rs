@@ -10,7 +10,7 @@ use serde_json::json;
 
 use crate::formats::{motion_x, seed_walk, walk};
 use crate::grown::{clips, ingest, verified};
-use crate::keys::put_pairs;
+use crate::keys::put_motionfix;
 use crate::util::{
     Folder, assert_tells, files_with_extension, motions_of, put, root_hash_of, rows_of, typed,
 };
@@ -63,7 +63,7 @@ fn seed(folder: &Path) -> Published {
 }
 
 fn motionfix(folder: &Path) -> Published {
-    let keys = put_pairs(folder, 0, 3);
+    let keys = put_motionfix(folder, 0, 3);
     let list = folder.join("splits.json");
     let lists = json!({ "train": [keys[0]], "val": [keys[1]], "test": [keys[2]] });
     put(&list, lists.to_string());
@@ -132,11 +132,8 @@ fn motions_wait_for_the_list_of_their_splits() {
         assert_eq!(done["ingested"], 1, "{name}: {done}");
         let held = codes(&grown);
         assert_eq!(held["E-LFS-POINTER"], 1, "{name}: {held:?}");
-        assert_eq!(
-            held["E-SPLITS-UNREAD"],
-            expected.len() - 1,
-            "{name}: {held:?}"
-        );
+        let unread = expected.len() - 1;
+        assert_eq!(held["E-SPLITS-UNREAD"], unread, "{name}: {held:?}");
         // Clips that are in the dataset stay, with all they have.
         let before = motions_of(&whole);
         let done = ingest(&sources, &whole, &["--prune"], 3);
@@ -159,12 +156,10 @@ fn a_split_that_the_user_names_needs_no_list() {
     put(&splits, "aist/clip_3,val\n");
     let named = ["--splits", splits.to_str().expect("text")];
     ingest(&[&folder], &dataset, &named, 3);
-    let found = clips(&dataset);
-    let found: Vec<_> = found
-        .iter()
-        .map(|(id, (split, _))| (&**id, *split))
-        .collect();
-    assert_eq!(found, [("aist/clip_3", Split::Val)]);
+    let found = clips(&dataset).into_iter();
+    let found = found.map(|(id, (split, _))| (id, split));
+    let named = ("aist/clip_3".to_owned(), Split::Val);
+    assert_eq!(found.collect::<Vec<_>>(), [named]);
 }
 
 #[test]
@@ -172,13 +167,11 @@ fn drawn_splits_are_said_and_stay_when_lists_come_later() {
     let dir = Folder::empty();
     let Published { folder, .. } = motionx(&dir.path("motionx"));
     let lists = files_with_extension(&folder, "txt");
-    let contents: Vec<Vec<u8>> = lists
-        .iter()
-        .map(|list| fs::read(list).expect("read"))
-        .collect();
-    lists
-        .iter()
-        .for_each(|list| fs::remove_file(list).expect("removed"));
+    let contents = lists.iter().map(|list| fs::read(list).expect("read"));
+    let contents: Vec<Vec<u8>> = contents.collect();
+    for list in &lists {
+        fs::remove_file(list).expect("removed");
+    }
     let [dataset, anew] = ["dataset", "anew"].map(|name| dir.path(name));
     let done = ingest(&[&folder], &dataset, &[], 0);
     assert_tells(

@@ -1,7 +1,6 @@
 //! Conditions, intervals and notes of result tables, and what they refuse.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
 use datasets_spec::Split;
 use datasets_spec::dataset::commit_rows;
@@ -15,16 +14,10 @@ use crate::tables::{printed, tables};
 use crate::util::{arg, assert_has, copy_all, list_of, number_of, word_of};
 
 /// Writes a table of rows as another program would.
-pub(crate) fn write_rows<R: Row>(
-    bench: &Bench,
-    name: &str,
-    rows: &[R],
-    split: fn(&R) -> Split,
-) -> PathBuf {
+pub(crate) fn write_rows<R: Row>(bench: &Bench, name: &str, rows: &[R], split: fn(&R) -> Split) {
     let skeleton = bench.dataset_at("items").skeleton().expect("built in");
     let out = bench.path(name);
     commit_rows(&out, rows, Some(split), &skeleton, name, "test").expect("writes");
-    out
 }
 
 /// The first row of a system and a metric.
@@ -36,8 +29,8 @@ pub(crate) fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Va
 
 #[test]
 fn a_table_says_what_it_measured_and_how_sure_it_is() {
-    let bench = Bench::of_items("80");
-    let edits = bench.edits("first", &[]);
+    let bench = Bench::of_items(80);
+    bench.edits("first", "");
     let items: Vec<ItemRow> = bench.rows("items");
     let count = |of: fn(&ItemRow) -> String| items.iter().map(of).collect::<BTreeSet<_>>().len();
     let (targets, sources, instructions) = (
@@ -45,8 +38,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         count(|item| item.source_id.to_string()),
         count(|item| item.instruction.clone()),
     );
-    let committed = bench.path("scores");
-    let scores = bench.scores(&[&edits], &["--out", arg(&committed)]);
+    let scores = bench.scores("@first", "--out @scores");
     assert!(targets >= 10, "{targets} targets make no interval");
     let row = score(&scores, UNPOSED, "Position error (cm)");
     let digest = word_of(&row["items_digest"]);
@@ -72,11 +64,9 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     assert!(of_task.iter().all(is_counted));
     // The items are counted by novelty, and each novelty also has a table of its own.
     let shown = &of_task[0].novelty;
-    let counted: usize = shown
-        .split(", ")
-        .filter_map(|part| part.split(' ').next()?.parse::<usize>().ok())
-        .sum();
-    assert_eq!(Some(counted as u64), row["n"].as_u64(), "{shown}");
+    let parts = shown.split(", ");
+    let counts = parts.filter_map(|part| part.split(' ').next()?.parse::<usize>().ok());
+    assert_eq!(row["n"], counts.sum::<usize>(), "{shown}");
     for part in shown.split(", ") {
         let (count, novelty) = part.split_once(' ').expect("a count and a name");
         let alone = stored.iter().find(|row| row.task == novelty);
@@ -89,7 +79,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     assert!(half_width(&scores, "Position error (cm)").expect("varies") > 0.0);
     assert!(half_width(&scores, "FID").expect("varies") > 0.0);
     assert!(score(&scores, "Real Data", "E2T R@1")["ci95"].is_null());
-    let over_repeats = bench.scores(&[&edits], &["--interval", "repeats"]);
+    let over_repeats = bench.scores("@first", "--interval repeats");
     assert_eq!(half_width(&over_repeats, "Position error (cm)"), None);
     assert!(half_width(&over_repeats, "FID").expect("halves vary") > 0.0);
     let mean = |scores: &Value| score(scores, UNPOSED, "FID")["mean"].clone();
@@ -101,10 +91,10 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     };
     let dataset = bench.dataset_at("dataset");
     let dataset = dataset.content_hash(&[MotionRow::TABLE]);
-    let table = |more: &[&str]| {
-        let args = [&["--format", "markdown"], more].concat();
+    let table = |more: &str| {
+        let printed = bench.eval("@first", &format!("--format markdown {more}"));
         // The first table is that of the only task; tables of novelties follow.
-        tables(&bench.eval(&[&edits], &args).printed()).remove(0)
+        tables(&printed.printed()).remove(0)
     };
     let conditions = |intervals: &str| {
         format!(
@@ -117,22 +107,19 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
             word_of(&row["encoder_hash"]),
         )
     };
-    let of_targets = table(&[]);
-    assert_eq!(
-        of_targets.conditions,
-        conditions("from 1000 draws of the targets (100 for FID and Diversity)")
-    );
+    let of_targets = table("");
+    let drawn = conditions("from 1000 draws of the targets (100 for FID and Diversity)");
+    assert_eq!(of_targets.conditions, drawn);
     let unranked = of_targets.unranked.as_deref();
     assert!(unranked.is_some_and(|line| line.contains("too weak to judge")));
-    assert_eq!(
-        of_targets.notes.last().expect("a note"),
-        "Diversity is not measured: it draws 300 pairs and needs as many items, and there are 80."
-    );
+    let few =
+        "Diversity is not measured: it draws 300 pairs and needs as many items, and there are 80.";
+    assert_eq!(of_targets.notes.last().expect("a note"), few);
     let novelty = format!("Items by what training has shown of them: {shown}.");
     assert!(of_targets.notes.contains(&novelty), "{of_targets:?}");
     let names = ["Real Data", "Identity", UNPOSED];
     of_targets.check_measured(&names, &scores);
-    let of_repeats = table(&["--interval", "repeats"]);
+    let of_repeats = table("--interval repeats");
     assert_eq!(of_repeats.conditions, conditions("over the repeats"));
     of_repeats.check_measured(&names, &over_repeats);
     // The rate in the documents equals the printed one.
@@ -142,7 +129,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     assert!(line.is_some_and(|line| line.contains("10 fps in preset `tiny`")));
 
     // A comparison names its FID and draws targets.
-    bench.edits("second", &["--guidance", "2", "--name", "strong"]);
+    bench.edits("second", "--guidance 2 --name strong");
     let compare = |more: &str| {
         let line = "eval compare @first @second --encoder @encoder --weak-judge --repeats 2";
         bench.run(&format!("{line} {more}"))
@@ -159,31 +146,25 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     assert!(targets.is_some_and(|count| (10..=80).contains(&count)));
     assert_eq!(word_of(&task["items_digest"]).len(), 12);
     let printed = tables(&compare("--format markdown").stdout);
-    assert_eq!(
-        printed[0].head,
-        ["Metric", "A", "B", "B - A", "from", "to", "better"]
-    );
+    let head = ["Metric", "A", "B", "B - A", "from", "to", "better"];
+    assert_eq!(printed[0].head, head);
     // Where fewer items have a value, their number follows.
     let in_words = printed[0].names().into_iter();
-    let in_words: Vec<&str> = in_words
-        .map(|name| name.split(", ").next().unwrap_or_default())
-        .collect();
-    assert_eq!(in_words, names);
+    let in_words = in_words.map(|name| name.split(", ").next().unwrap_or_default());
+    assert_eq!(in_words.collect::<Vec<_>>(), names);
     let csv = compare("--format csv").stdout;
     let lines: Vec<&str> = csv.lines().collect();
     let heads = lines.iter().filter(|line| line.starts_with("task,"));
     assert_eq!(heads.count(), 1, "{csv}");
-    assert!(
-        lines[1..].iter().all(|line| line.contains(",strong (B),")),
-        "{csv}"
-    );
+    let mut lines = lines[1..].iter();
+    assert!(lines.all(|line| line.contains(",strong (B),")), "{csv}");
 }
 
 #[test]
 fn a_system_behind_the_identity_editor_is_never_best() {
-    let bench = Bench::of_items("24");
+    let bench = Bench::of_items(24);
     // The edits are the sources raised by five metres, so they are farther from every target than the sources.
-    bench.edits("lifted", &["--name", "lifted"]);
+    bench.edits("lifted", "--name lifted");
     let mut rows: Vec<EditRow> = bench.rows("lifted");
     let items: Vec<ItemRow> = bench.rows("items");
     for row in &mut rows {
@@ -205,10 +186,8 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     let scores: Value = eval("--json").json();
     let [own, identity] =
         ["lifted", "Identity"].map(|name| score(&scores, name, "Position error (cm)"));
-    assert!(
-        own["mean"].as_f64() > identity["mean"].as_f64(),
-        "{own} {identity}"
-    );
+    let is_farther = number_of(&own["mean"]) > number_of(&identity["mean"]);
+    assert!(is_farther, "{own} {identity}");
     assert_eq!(own["behind_identity"], true);
     assert_eq!(identity["behind_identity"], false);
     let table = |format: &str| eval(&format!("--table 1 --further --format {format}")).stdout;
@@ -219,10 +198,8 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     let mut labels = further.head.iter();
     let column = labels.position(|label| label == "Position error (cm) ↓");
     // Printed without the mark of the best value.
-    assert_eq!(
-        further.row("lifted")[column.expect("a column") - 1],
-        printed(own)
-    );
+    let cell = further.row("lifted")[column.expect("a column") - 1];
+    assert_eq!(cell, printed(own));
     // Tests of crate `eval` check how the note names columns.
     let behind = "Behind the identity editor, which returns the original unchanged: lifted in ";
     let mut notes = further.notes.iter();
@@ -268,33 +245,24 @@ fn a_system_behind_the_identity_editor_is_never_best() {
 #[test]
 fn what_cannot_stand_in_one_table_is_refused() {
     let bench = Bench::open();
-    let first = bench.edits("first", &[]);
-    let again = bench.path("again");
-    copy_all(&first, &again);
+    bench.edits("first", "");
+    copy_all(&bench.path("first"), &bench.path("again"));
     let report = |other: &str| bench.typed(&format!("report @first @{other} --out @page.html"));
-    for ran in [bench.eval(&[&first, &again], &[]), report("again")] {
+    for ran in [bench.eval("@first @again", ""), report("again")] {
         let parts = ["two motions of item", "sampled with seed 0", "--seed"];
         assert_has(&ran.refusal(), &parts);
     }
     // Four of the eight items are the same, but these are two test sets.
-    bench.items("few", &["--count", "4"]);
-    let few = bench.answers("editor", "few", "answers", &["--name", "other"]);
+    bench.items("few", "--count 4");
+    bench.answers("editor", "few", "answers", "--name other");
     let compared = bench.typed("eval compare @first @answers --encoder @encoder --weak-judge");
-    for ran in [
-        bench.eval(&[&first, &few], &[]),
-        report("answers"),
-        compared,
-    ] {
-        assert_has(
-            &ran.refusal(),
-            &[
-                "different items",
-                arg(&first),
-                arg(&few),
-                "4 of 8 are in ",
-                "0 of 4 in ",
-            ],
-        );
+    let evaluated = bench.eval("@first @answers", "");
+    for ran in [evaluated, report("answers"), compared] {
+        let said = ran.expect_refused("different items");
+        for folder in ["first", "answers"] {
+            said.expect_said(arg(&bench.path(folder)));
+        }
+        assert_has(&said.stderr, &["4 of 8 are in ", "0 of 4 in "]);
     }
     assert!(!bench.path("page.html").exists());
 
@@ -303,18 +271,18 @@ fn what_cannot_stand_in_one_table_is_refused() {
     let was = rows[3].novelty.take().expect("known");
     let is = if was == "retake" { "unshown" } else { "retake" };
     rows[3].novelty = Some(is.to_owned());
-    let asked = write_rows(&bench, "asked", &rows, |row| row.split);
-    let other = bench.answers("editor", "asked", "parted", &["--name", "other"]);
-    for order in [[&first, &other], [&other, &first], [&asked, &first]] {
-        let refused = bench.eval(&order.map(PathBuf::as_path), &[]).refusal();
+    write_rows(&bench, "asked", &rows, |row| row.split);
+    bench.answers("editor", "asked", "parted", "--name other");
+    for order in ["@first @parted", "@parted @first", "@asked @first"] {
+        let refused = bench.eval(order, "").refusal();
         assert_has(&refused, &[&rows[3].id, &was, is, "--items"]);
     }
 
     // An item whose content was changed, but not its id.
     let mut rows: Vec<ItemRow> = bench.rows("items");
     rows[3].instruction.push_str(" Twice.");
-    let forged = write_rows(&bench, "forged", &rows, |row| row.split);
-    let refused = bench.eval(&[&forged], &[]).refusal();
+    write_rows(&bench, "forged", &rows, |row| row.split);
+    let refused = bench.eval("@forged", "").refusal();
     assert_has(&refused, &[&rows[3].id, "stance items"]);
     let verified = bench.typed("verify @forged").expect_code(1);
     assert_has(&verified.to_string(), &[&rows[3].id]);
@@ -343,7 +311,7 @@ fn pairs_of_motionfix_fill_its_tables() {
         row.id = row.content_id();
     }
     write_rows(&bench, "motionfix", &rows, |row| row.split);
-    let edits = bench.answers("editor", "motionfix", "answers", &[]);
+    bench.answers("editor", "motionfix", "answers", "");
     let names = ["Real Data", "Identity", UNPOSED];
     for (table, gallery, published, counts) in [
         (
@@ -359,10 +327,10 @@ fn pairs_of_motionfix_fill_its_tables() {
             "1012 items (MotionReFit)",
         ),
     ] {
-        let format = ["--table", table, "--published", "--format", "markdown"];
-        let ran = bench.eval(&[&edits], &format).expect_code(0);
+        let format = format!("--table {table} --published --format markdown");
+        let ran = bench.eval("@answers", &format).expect_code(0);
         assert!(!ran.stderr.contains("there are none"), "{}", ran.stderr);
-        let scores = bench.scores(&[&edits], &["--table", table]);
+        let scores = bench.scores("@answers", &format!("--table {table}"));
         // Tables of novelties follow the first table.
         let laid_out = &tables(&ran.stdout)[0];
         assert_eq!(laid_out.heading, "motionfix");
@@ -381,25 +349,22 @@ fn pairs_of_motionfix_fill_its_tables() {
     let semantic: Vec<ItemRow> = bench.rows("items");
     let both = [&rows[..], &semantic].concat();
     write_rows(&bench, "both", &both, |row| row.split);
-    let of_both =
-        bench.typed("eval --items @both --table 2 --encoder @encoder --weak-judge --repeats 2");
-    of_both
-        .expect_code(0)
-        .expect_said("has no table for semantic (8 items)");
-    let alone = bench
-        .run("eval --items @motionfix --table 2 --format markdown --encoder @encoder --weak-judge");
+    let eval = "eval --table 2 --encoder @encoder --weak-judge --items";
+    let of_both = bench.run(&format!("{eval} @both --repeats 2"));
+    of_both.expect_said("has no table for semantic (8 items)");
+    let alone = bench.run(&format!("{eval} @motionfix --format markdown"));
     assert_eq!(tables(&alone.stdout)[0].names(), names[..2]);
 
     let error = |keypoints: &str| {
-        let scores = bench.scores(&[&edits], &["--keypoints", keypoints]);
+        let scores = bench.scores("@answers", &format!("--keypoints {keypoints}"));
         let row = score(&scores, UNPOSED, "Position error (cm)");
         let is_said = word_of(&row["protocol"]).contains("22 joints");
         assert_eq!(is_said, keypoints == "22", "{row}");
         number_of(&row["mean"])
     };
     assert!(error("22") != error("28"));
-    let refused = bench.eval(&[&edits], &["--keypoints", "21"]).expect_code(2);
-    refused.expect_said("28 and 22");
+    let refused = bench.eval("@answers", "--keypoints 21");
+    refused.expect_code(2).expect_said("28 and 22");
 
     // Nothing was blended, but the edited part is still highlighted.
     bench.run("report @answers --out @page.html");
@@ -409,10 +374,10 @@ fn pairs_of_motionfix_fill_its_tables() {
 #[test]
 fn further_tables_tell_how_motions_move_and_how_takes_of_one_item_differ() {
     let bench = Bench::open();
-    let edits = bench.edits("takes", &["--takes", "11"]);
-    let further = ["--further", "--format", "markdown"];
-    let mut found = tables(&bench.eval(&[&edits], &further).printed());
-    let scores = bench.scores(&[&edits], &[]);
+    bench.edits("takes", "--takes 11");
+    let further = bench.eval("@takes", "--further --format markdown");
+    let mut found = tables(&further.printed());
+    let scores = bench.scores("@takes", "");
     for table in &found {
         table.check_measured(&["Real Data", "Identity", UNPOSED], &scores);
         let items = table.conditions.split("; ").nth(1).expect("the items");
@@ -445,24 +410,15 @@ fn further_tables_tell_how_motions_move_and_how_takes_of_one_item_differ() {
 #[test]
 fn latencies_stand_apart_from_times_that_windows_share() {
     let bench = Bench::open();
-    bench.edits("together", &[]);
-    bench.edits("alone", &["--max-batch", "1"]);
+    bench.edits("together", "");
+    bench.edits("alone", "--max-batch 1");
     let rows = |folder: &str| bench.rows::<EditRow>(folder);
     // The batch size changes no number of the edits.
     assert_eq!(rows("together"), rows("alone"));
     // Nor does it with a coordinator.
     bench.train("coordinator", "guide", "2").expect_code(0);
-    for (name, batch) in [("guided", "64"), ("in-threes", "3")] {
-        bench.edits(
-            name,
-            &[
-                "--coordinator",
-                arg(&bench.path("guide")),
-                "--max-batch",
-                batch,
-            ],
-        );
-    }
+    bench.edits("guided", "--coordinator @guide --max-batch 64");
+    bench.edits("in-threes", "--coordinator @guide --max-batch 3");
     assert_eq!(rows("guided"), rows("in-threes"));
     let times = |more: &str| {
         let line = format!("eval @together @alone --table a4 {more}");
@@ -487,10 +443,8 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     );
     assert!(throughput.heading.starts_with("Throughput: "));
     // Table A4 of the paper.
-    assert_eq!(
-        latency.row("16-frame, RTX 3090 (published)"),
-        ["RTX 3090", "1", "0.474", "0.046", "0.126", "0.646", "24.77"]
-    );
+    let row = ["RTX 3090", "1", "0.474", "0.046", "0.126", "0.646", "24.77"];
+    assert_eq!(latency.row("16-frame, RTX 3090 (published)"), row);
     assert_eq!(throughput.names(), ["16-frame, together"]);
     let latex = times("--published --format latex").printed();
     assert_has(&latex, &["16-frame, alone & ", "16-frame, together & "]);

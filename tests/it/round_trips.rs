@@ -1,107 +1,90 @@
 //! Exports of a dataset or a project can be imported again, and losses are counted.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::ops::Deref;
 
 use annotate::store::{Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
-use annotate::wire::{Answer, Role, TaskKind};
+use annotate::wire::Answer;
 use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
 use serde_json::{Value, json};
 
-use crate::annotate::{accept, from_json, settings};
-use crate::util::{
-    Ran, arg, assert_has, commit, dataset_of, exported, ingested, json_of, len_of, motions_of, put,
-    rows_of, stance, typed, typed_with,
-};
+use crate::annotate::{accept, from_json, opened, people};
+use crate::util::{Folder, Ran, assert_has, commit, json_of, len_of, motions_of, put};
 
 /// Number of rejected pairs among the answers.
 const REJECTED: usize = 5;
 
 /// A folder with a dataset of masks and pairs.
-struct Labelled {
-    dir: tempfile::TempDir,
+struct Labelled(Folder);
+
+impl Deref for Labelled {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.0
+    }
 }
 
 impl Labelled {
     /// A dataset of the built-in corpus with automatic masks, style pairs and fine-grained pairs, and a store beside it
     /// with accepted answers: 20 of masks, 12 of pairs, of which [`REJECTED`] are rejections, and 6 of styles.
     fn new() -> Self {
-        let made = Self {
-            dir: tempfile::tempdir().expect("a temporary folder"),
-        };
-        let (source, dataset) = (made.path("corpus"), made.path("dataset"));
-        typed("corpus --clips 36 --adjusted 1 --out {}", &[&source]).expect_code(0);
-        let pairs = source.join("pairs.csv");
-        ingested(&source, &dataset, &["--pairs", arg(&pairs)]);
-        stance(&["pairs", arg(&dataset)]).expect_code(0);
-        stance(&["masks", arg(&dataset)]).expect_code(0);
-        let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
-        store.change_settings(1, settings(), 0).expect("settings");
-        made.annotate("store.sqlite", &["import"]);
-        let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
-        let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
-        let accept = |author, kind, answer| accept(store.as_ref(), (author, eve), kind, answer);
+        let made = Self(Folder::empty());
+        made.run("corpus --clips 36 --adjusted 1 --out @corpus");
+        made.run("ingest @corpus --pairs @corpus/pairs.csv --out @dataset");
+        made.run("pairs @dataset");
+        made.run("masks @dataset");
+        let store = opened(&made.path("store.sqlite"));
+        made.annotate("store.sqlite", "import");
+        let (ann, eve) = people(&store);
         for number in 0..20 {
-            accept(ann, TaskKind::MaskText, masks(number));
+            accept(&store, (ann, eve), masks(number));
         }
         for number in 0..12 {
-            accept(ann, TaskKind::Pair, pair(number));
+            accept(&store, (ann, eve), pair(number));
         }
         for number in 0..6 {
-            accept(eve, TaskKind::Style, style(number));
+            accept(&store, (eve, eve), style(number));
         }
         made
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
-    }
-
-    fn rows<R: Row>(&self, dataset: &str) -> Vec<R> {
-        rows_of(&self.path(dataset))
     }
 
     fn motions(&self, dataset: &str) -> Vec<MotionRow> {
         self.rows(dataset)
     }
 
-    fn try_annotate(&self, dataset: &str, store: &str, words: &[&str]) -> Ran {
-        let (dataset, store) = (self.path(dataset), self.path(store));
-        typed_with("annotate {} --store {} --json", &[&dataset, &store], words)
+    fn try_annotate(&self, dataset: &str, store: &str, line: &str) -> Ran {
+        self.typed(&format!(
+            "--json annotate @{dataset} --store @{store} {line}"
+        ))
     }
 
-    fn annotate_of(&self, dataset: &str, store: &str, words: &[&str]) -> Value {
-        self.try_annotate(dataset, store, words).done()
+    fn annotate_of(&self, dataset: &str, store: &str, line: &str) -> Value {
+        self.try_annotate(dataset, store, line).done()
     }
 
-    fn annotate(&self, store: &str, words: &[&str]) -> Value {
-        self.annotate_of("dataset", store, words)
+    fn annotate(&self, store: &str, line: &str) -> Value {
+        self.annotate_of("dataset", store, line)
     }
 
     /// The accepted answers of a store.
     fn answers(&self, dataset: &str, store: &str) -> Vec<AnnotationRow> {
-        let to = self.path(&format!("{store}-answers"));
-        let export = ["export", "--format", "parquet", "--to", arg(&to)];
+        let to = format!("{store}-answers");
+        let export = format!("export --format parquet --to @{to}");
         self.annotate_of(dataset, store, &export);
-        read_rows(&to.join("annotations.parquet")).expect("rows")
+        read_rows(&self.path(&to).join("annotations.parquet")).expect("rows")
     }
 
     fn export(&self, layout: &str) -> Value {
-        exported(&self.path("dataset"), layout, &self.path(layout), &[])
-    }
-
-    fn ingest(&self, source: &str, out: &str, more: &[&str], code: i32) -> Value {
-        let (source, out) = (self.path(source), self.path(out));
-        let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
-        ran.expect_code(code).json()
+        self.json(&format!("export @dataset --to {layout} --out @{layout}"))
     }
 
     /// Adds the answers to the dataset, and labels that only other programs make: a mask without named parts, one with
     /// altered joints, a semantic pair, and a styled motion with two originals.
     fn with_all_labels(&self) {
-        self.annotate("store.sqlite", &["export"]);
+        self.annotate("store.sqlite", "export");
         let mut masks: Vec<MaskRow> = self.rows("dataset");
         let mut bare = masks[0].clone();
         bare.id = "own/joints".to_owned();
@@ -183,12 +166,9 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     made.with_all_labels();
     let export = made.export("stance");
     // No layout has a place for what people rejected.
-    assert_eq!(
-        export["left_out"],
-        json!({ "rejected_pairs": REJECTED }),
-        "{export}"
-    );
-    let report = made.ingest("stance", "again", &[], 0);
+    let left_out = json!({ "rejected_pairs": REJECTED });
+    assert_eq!(export["left_out"], left_out, "{export}");
+    let report: Value = made.json("ingest @stance --out @again");
     assert_eq!(report["quarantined"], 0, "{report}");
     assert_eq!(said(made.rows("again")), said(made.rows("dataset")));
     let masks = |name: &str| sorted(made.rows::<MaskRow>(name), |row| row.id.clone());
@@ -224,28 +204,25 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     assert_eq!(export["beside"]["masks"], beside, "{export}");
     assert!(export["beside"]["pairs"].as_u64() >= Some(2), "{export}");
     // A second round trip gives the same files.
-    let out = made.path("exported-again");
-    exported(&made.path("again"), "stance", &out, &[]);
+    made.run("export @again --to stance --out @exported-again");
     for name in ["masks.jsonl", "pairs.jsonl", "regen/mask_all.json"] {
-        let read = |folder: &Path| std::fs::read(folder.join(name)).expect("written");
-        assert!(read(&out) == read(&made.path("stance")), "{name}");
+        let read = |folder: &str| made.text(&format!("{folder}/{name}"));
+        assert!(read("exported-again") == read("stance"), "{name}");
     }
 }
 
 #[test]
 fn an_exported_dataset_gives_its_answers_to_a_project() {
     let made = Labelled::new();
-    made.annotate("store.sqlite", &["export"]);
+    made.annotate("store.sqlite", "export");
     made.export("stance");
-    let folder = made.path("stance");
     // A dataset of the same motions without labels, and its project.
-    let pairs = made.path("corpus/pairs.csv");
-    made.ingest("corpus", "plain", &["--pairs", arg(&pairs)], 0);
-    let filled = made.annotate_of("plain", "plain.sqlite", &["import", arg(&folder)]);
+    made.run("ingest @corpus --out @plain --pairs @corpus/pairs.csv");
+    let filled = made.annotate_of("plain", "plain.sqlite", "import @stance");
     assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
     // Answers with the old ids also fit a dataset made from the export, whose own tables already have them.
-    made.ingest("stance", "again", &[], 0);
-    made.annotate_of("again", "again.sqlite", &["import", arg(&folder)]);
+    made.run("ingest @stance --out @again");
+    made.annotate_of("again", "again.sqlite", "import @stance");
     type Line = (String, String);
     let lines = |rows: Vec<AnnotationRow>| -> Vec<Line> {
         let line = |row: AnnotationRow| {
@@ -270,18 +247,13 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
         assert_eq!(found.len(), answers.len(), "{store}");
     }
     // Labels of another motion of the same name are refused.
-    let other = made.path("other");
-    let line = "corpus --clips 36 --adjusted 1 --seed 9 --out {}";
-    typed(line, &[&other]).expect_code(0);
-    made.ingest("other", "other-dataset", &[], 0);
-    let import = ["import", arg(&folder)];
-    let refused = made.try_annotate("other-dataset", "other.sqlite", &import);
-    refused.expect_refused("its content is");
+    made.run("corpus --clips 36 --adjusted 1 --seed 9 --out @other");
+    made.run("ingest @other --out @other-dataset");
     made.answers("dataset", "store.sqlite");
-    let table = made.path("store.sqlite-answers");
-    let import = ["import", arg(&table)];
-    let refused = made.try_annotate("other-dataset", "other.sqlite", &import);
-    refused.expect_refused("its content is");
+    for import in ["import @stance", "import @store.sqlite-answers"] {
+        let refused = made.try_annotate("other-dataset", "other.sqlite", import);
+        refused.expect_refused("its content is");
+    }
 
     let pairs: Vec<PairRow> = made.rows("dataset");
     // A dataset of the same motions in which targets of pairs are in another split than sources.
@@ -291,16 +263,16 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
         let split = ["train", "test"][usize::from(targets.contains(row.id.as_str()))];
         format!("{},{split}\n", row.id)
     });
-    let list = made.path("splits.csv");
-    put(&list, format!("clip,split\n{}", lines.collect::<String>()));
-    made.ingest("corpus", "parted", &["--splits", arg(&list)], 0);
+    let lines = format!("clip,split\n{}", lines.collect::<String>());
+    made.put("splits.csv", lines);
+    made.run("ingest @corpus --out @parted --splits @splits.csv");
     let parted = motions_of(&made.path("parted"));
     let split = |id: &str| parted[id].split;
     let is_across =
         |pair: &&PairRow| split(pair.source_id.as_str()) != split(pair.target_id.as_str());
     let across = pairs.iter().filter(is_across).count();
     assert!(across > 10, "{across} of {}", pairs.len());
-    let filled = made.annotate_of("parted", "parted.sqlite", &["import", arg(&folder)]);
+    let filled = made.annotate_of("parted", "parted.sqlite", "import @stance");
     assert_eq!(filled["counts"]["pairs_across_splits"], across, "{filled}");
     let message = format!("{across} pairs have their motions in two splits");
     assert_has(&filled["messages"].to_string(), &[&message]);
@@ -332,10 +304,10 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let [first, second] = [(); 2].map(|()| alone.next().expect("two motions"));
     std::fs::copy(&first.1, &second.1).expect("copied");
     put(folder.join("regen/mask_all.json"), "{}");
-    let report = made.ingest("stance", "again", &[], 3);
+    let report = made.typed("--json ingest @stance --out @again");
+    let report: Value = report.expect_code(3).json();
     assert_eq!(report["codes"]["E-STANCE-ORIGIN"], 2, "{report}");
-    let again = made.path("again");
-    let listed = typed("inspect {} --list quarantine", &[&again]).printed();
+    let listed = made.run("inspect @again --list quarantine").stdout;
     let said = [first.0, second.0, "masks.jsonl holds the masks"];
     assert_has(&listed, &said);
     // All other motions are ingested.
@@ -343,7 +315,8 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     assert_eq!(again + 1, all);
     // A motion without a file is reported.
     std::fs::remove_file(&second.1).expect("removed");
-    let report = made.ingest("stance", "third", &[], 3);
+    let report = made.typed("--json ingest @stance --out @third");
+    let report: Value = report.expect_code(3).json();
     assert_has(&report["remarks"].to_string(), &["have no file"]);
 }
 
@@ -358,7 +331,7 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
         { "parts": ["LEFT_ARM"], "range": [2, 33], "text": "waving" },
         { "parts": ["LOWER_BODY", "HEAD"], "joints": [hip], "text": "walking" },
     ] }));
-    accept(store.as_ref(), people, TaskKind::MaskText, answer);
+    accept(&store, people, answer);
     drop(store);
     let answers = made.answers("dataset", "store.sqlite");
     let ranges = answers.iter().filter_map(|row| row.start.zip(row.end));
@@ -371,60 +344,56 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     assert_eq!(count(|row| row.extent.is_some()), 6);
 
     // From the table, into a project with the dataset's tasks.
-    let table = made.path("store.sqlite-answers");
-    made.annotate("of-table.sqlite", &["import"]);
-    let filled = made.annotate("of-table.sqlite", &["import", arg(&table)]);
+    let table = "import @store.sqlite-answers";
+    made.annotate("of-table.sqlite", "import");
+    let filled = made.annotate("of-table.sqlite", table);
     for none in ["new_tasks", "conflicts"] {
         assert_eq!(filled["counts"][none], 0, "{filled}");
     }
     assert_eq!(made.answers("dataset", "of-table.sqlite"), answers);
 
     // From the release, into an empty project.
-    let to = made.path("release");
-    let export = ["export", "--format", "stance", "--to", arg(&to)];
-    let done = made.annotate("store.sqlite", &export);
+    let done = made.annotate("store.sqlite", "export --format stance --to @release");
     assert_eq!(done["counts"]["rejected_pairs"], REJECTED, "{done}");
     assert_eq!(done["counts"]["extents"], 6, "{done}");
-    let filled = made.annotate("of-release.sqlite", &["import", arg(&to)]);
+    let filled = made.annotate("of-release.sqlite", "import @release");
     assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
     assert_eq!(made.answers("dataset", "of-release.sqlite"), answers);
     // Lists that contradict the table are reported.
-    put(to.join("mask_all.json"), "{}");
-    made.try_annotate("dataset", "third.sqlite", &["import", arg(&to)])
-        .expect_refused("mask_all.json was changed since the export");
+    made.put("release/mask_all.json", "{}");
+    let refused = |import: &str, reason: &str| {
+        let refused = made.try_annotate("dataset", "third.sqlite", import);
+        refused.expect_refused(reason);
+    };
+    let changed = "mask_all.json was changed since the export";
+    refused("import @release", changed);
 
     // CSV has only what people of this project wrote.
-    let to = made.path("sheet");
-    let export = ["export", "--format", "csv", "--to", arg(&to)];
-    let own = made.annotate("store.sqlite", &export);
+    let export = "export --format csv --to @sheet";
+    let own = made.annotate("store.sqlite", export);
     let tasks: BTreeSet<&String> = answers.iter().map(|row| &row.task).collect();
     assert_eq!(own["counts"]["labels"], tasks.len(), "{own}");
     assert!(own["counts"]["merged_or_imported"].is_null(), "{own}");
     // It is for reading.
-    let sheet = to.join("labels.csv");
-    for path in [&to, &sheet] {
-        let refused = made.try_annotate("dataset", "third.sqlite", &["import", arg(path)]);
-        refused.expect_refused("csv and labels are for reading");
+    for import in ["import @sheet", "import @sheet/labels.csv"] {
+        refused(import, "csv and labels are for reading");
     }
-    let absent = to.join("absent.csv");
-    made.try_annotate("dataset", "third.sqlite", &["import", arg(&absent)])
-        .expect_refused("cannot read");
+    refused("import @sheet/absent.csv", "cannot read");
     // A later export into the folder of a table leaves the table there, which is not of that export.
-    let twice = made.path("twice");
     for format in ["parquet", "csv"] {
-        let export = ["export", "--format", format, "--to", arg(&twice)];
+        let export = format!("export --format {format} --to @twice");
         made.annotate("store.sqlite", &export);
     }
-    made.try_annotate("dataset", "third.sqlite", &["import", arg(&twice)])
-        .expect_refused("annotations.parquet is not of this export");
-    made.annotate("sheet.sqlite", &["import", arg(&table)]);
-    let none = made.annotate("sheet.sqlite", &export);
+    let of_others = "annotations.parquet is not of this export";
+    refused("import @twice", of_others);
+    made.annotate("sheet.sqlite", table);
+    let none = made.annotate("sheet.sqlite", export);
     assert_eq!(none["counts"]["labels"], 0, "{none}");
     assert_eq!(none["counts"]["merged_or_imported"], tasks.len(), "{none}");
     let said = none["messages"][0].as_str().expect("a message");
     assert!(said.starts_with(&format!("{} accepted answers", tasks.len())));
 
-    let tables = made.annotate("store.sqlite", &["export"]);
+    let tables = made.annotate("store.sqlite", "export");
     let counts = &tables["counts"];
     assert_eq!(counts["left_out_extents"], 6, "{tables}");
     // The manifest keeps the rejected pairs.
@@ -432,17 +401,13 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     assert!(counts["left_out_rejected_candidates"].is_null(), "{tables}");
 
     // A part of the dataset takes what is about its motions.
-    let (dataset, part) = (made.path("dataset"), made.path("part"));
     let held = &answers[0].motion_id;
-    let of_one = format!("id = '{held}'");
-    typed(
-        "dataset select {} --where {} --out {}",
-        &[&dataset, &of_one, &part],
-    )
-    .expect_code(0);
-    let part = |words: &[&str]| made.annotate_of("part", "part.sqlite", words);
-    part(&["import"]);
-    let counts = part(&["import", arg(&table)])["counts"].clone();
+    made.run(&format!(
+        "dataset select @dataset --where \"id = '{held}'\" --out @part"
+    ));
+    let part = |line: &str| made.annotate_of("part", "part.sqlite", line);
+    part("import");
+    let counts = part(table)["counts"].clone();
     let is_held = |row: &&AnnotationRow| {
         let target = row.target_id.as_ref();
         row.motion_id == *held && target.is_none_or(|id| id == held)
@@ -458,10 +423,9 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
 #[test]
 fn a_packed_project_goes_on_where_it_is_unpacked() {
     let made = Labelled::new();
-    let file = made.path("project");
     let opened = open_sqlite(&made.path("store.sqlite")).expect("a store");
     let ann = opened.users().expect("users")[0].clone();
-    made.annotate("store.sqlite", &["token", &ann.name]);
+    made.annotate("store.sqlite", &format!("token {}", ann.name));
     assert_eq!(opened.tokens(ann.id).expect("tokens").len(), 1);
     let told = |store: &Store| {
         let funnel = store.funnel().expect("counts");
@@ -469,49 +433,42 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
         (serde_json::to_value(funnel).expect("JSON"), people)
     };
     let before = told(&opened);
-    let pack = ["pack", arg(&file)];
-    made.annotate("store.sqlite", &pack);
+    made.annotate("store.sqlite", "pack @project");
     // Neither files nor projects are overwritten.
-    made.try_annotate("dataset", "store.sqlite", &pack)
-        .expect_code(1);
-    let unpack = ["unpack", arg(&file)];
-    made.try_annotate("dataset", "store.sqlite", &unpack)
-        .expect_refused("stays");
+    let again = |line: &str| made.try_annotate("dataset", "store.sqlite", line);
+    again("pack @project").expect_code(1);
+    again("unpack @project").expect_refused("stays");
 
     // With the same dataset, no task is reopened, and old tokens are invalid.
-    let moved = made.annotate("fresh.sqlite", &unpack);
+    let moved = made.annotate("fresh.sqlite", "unpack @project");
     assert_eq!(moved["people"], 2);
     assert_eq!(moved["changed"], 0);
     let there = open_sqlite(&made.path("fresh.sqlite")).expect("a store");
     assert_eq!(told(&there), before);
     assert!(there.tokens(ann.id).expect("tokens").is_empty());
-    assert_eq!(
-        made.answers("dataset", "fresh.sqlite"),
-        made.answers("dataset", "store.sqlite")
-    );
+    let [fresh, old] = ["fresh.sqlite", "store.sqlite"].map(|store| made.answers("dataset", store));
+    assert_eq!(fresh, old);
 
     // With other content, each task with an answer is flagged.
-    made.ingest("corpus", "elsewhere", &["--fps", "30"], 0);
-    let run = |words: &[&str]| made.annotate_of("elsewhere", "none.sqlite", words);
-    let moved = run(&unpack);
+    made.run("ingest @corpus --out @elsewhere --fps 30");
+    let run = |line: &str| made.annotate_of("elsewhere", "none.sqlite", line);
+    let moved = run("unpack @project");
     assert!(moved["changed"].as_u64() > Some(20), "{moved}");
-    assert_eq!(moved["changed"], len_of(&run(&["changed"])));
-    assert_eq!(run(&["check"])["findings"], json!([]));
+    assert_eq!(moved["changed"], len_of(&run("changed")));
+    assert_eq!(run("check")["findings"], json!([]));
 
     // A log that a killed server left behind is of another store, so it is not applied to this one.
-    let log = made.path("left.sqlite-wal");
-    put(&log, "the last answers");
-    for words in [&unpack[..], &["import"]] {
-        let refused = made.try_annotate("dataset", "left.sqlite", words);
+    made.put("left.sqlite-wal", "the last answers");
+    for line in ["unpack @project", "import"] {
+        let refused = made.try_annotate("dataset", "left.sqlite", line);
         refused.expect_refused("left.sqlite-wal belongs to a store");
     }
     assert!(!made.path("left.sqlite").exists());
-    assert_eq!(std::fs::read(&log).expect("it stays"), b"the last answers");
+    assert_eq!(made.text("left.sqlite-wal"), "the last answers");
 
     // If the file is not a project, no store remains.
-    let text = made.path("text");
-    put(&text, "no project");
-    let refused = made.try_annotate("dataset", "nothing.sqlite", &["unpack", arg(&text)]);
+    made.put("text", "no project");
+    let refused = made.try_annotate("dataset", "nothing.sqlite", "unpack @text");
     refused.expect_code(1);
     assert!(!made.path("nothing.sqlite").exists());
 }
@@ -569,9 +526,8 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
             .collect();
         assert_eq!(said["left_out"], json!(expected), "{layout}");
         assert_eq!(said["beside"], json!({}), "{layout}");
-        let name = format!("{layout}-again");
-        made.ingest(layout, &name, &[], 0);
-        let again = made.motions(&name);
+        made.run(&format!("ingest @{layout} --out @{layout}-again"));
+        let again = made.motions(&format!("{layout}-again"));
         assert_eq!(again.len(), rows.len(), "{layout}");
         assert_eq!(texts(&again), texts(&rows), "{layout}");
         if layout != "humanml3d" {
@@ -579,8 +535,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
         }
     }
     // The text output has the same counts.
-    let (dataset, out) = (made.path("dataset"), made.path("text"));
-    let text = typed("export {} --to bvh --out {}", &[&dataset, &out]).expect_code(0);
+    let text = made.run("export @dataset --to bvh --out @text");
     let line = format!("left out, because the layout has no place for them: {masks} masks");
     text.expect_printed(&line);
 
@@ -600,7 +555,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let sides = sides.flat_map(|pair| [&pair.source_id, &pair.target_id]);
     let sides: BTreeSet<_> = sides.collect();
     assert_eq!(left_out("clips"), rows.len() - sides.len());
-    made.ingest("motionfix", "motionfix-again", &["--fps", "30"], 0);
+    made.run("ingest @motionfix --out @motionfix-again --fps 30");
     let again = made.rows::<PairRow>("motionfix-again").into_iter();
     let mut instructions: Vec<String> = again.map(|pair| pair.instruction).collect();
     instructions.retain(|said| pairs.iter().any(|pair| pair.instruction.trim() == said));
@@ -609,44 +564,37 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     assert_eq!(instructions.len(), with_words.len());
 
     // Features are counted too, and so are pairs with only one chosen motion.
-    made.ingest("corpus", "features", &["--features", "humanml3d"], 0);
+    made.run("ingest @corpus --out @features --features humanml3d");
     let rows = made.rows::<HumanMl3dRow>("features").len();
-    let said = exported(&made.path("features"), "stance", &made.path("a"), &[]);
+    let said: Value = made.json("export @features --to stance --out @a");
     assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");
     let first = &pairs[0].source_id;
     let touches = |pair: &&PairRow| [&pair.source_id, &pair.target_id].contains(&first);
     let touched = pairs.iter().filter(touches).count();
-    let chosen = format!("id = '{first}'");
-    let said = exported(&dataset, "stance", &made.path("b"), &["--where", &chosen]);
+    let export = format!("export @dataset --to stance --out @b --where \"id = '{first}'\"");
+    let said: Value = made.json(&export);
     assert_eq!(said["left_out"]["pairs"], touched, "{said}");
     // A planned export counts the same.
-    let (plan, out) = (made.path("plan"), made.path("planned"));
-    let line = "stage plan export {} --to bvh --into {} --out {}";
-    typed(line, &[&dataset, &out, &plan]).expect_code(0);
-    stance(&["stage", "work", arg(&plan)]).expect_code(0);
-    let done: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
+    let done = made.staged("export @dataset --to bvh --into @planned");
     assert_eq!(done["notes"]["left_out"]["masks"], masks, "{done}");
 }
 
 #[test]
 fn how_rotations_were_made_and_how_well_they_fit_goes_along_with_exports() {
-    let (dir, dataset) = dataset_of(4, &[]);
-    let [positions, fitted] = ["positions", "fitted"].map(|name| dir.path().join(name));
-    typed("export {} --to humanml3d --out {}", &[&dataset, &positions]).expect_code(0);
-    ingested(&positions, &fitted, &[]);
-    let made = |dataset: &Path| -> BTreeMap<String, (String, Option<f32>)> {
-        let rows = motions_of(dataset).into_iter();
+    let dir = Folder::of_dataset(4);
+    dir.run("export @dataset --to humanml3d --out @positions");
+    dir.run("ingest @positions --out @fitted");
+    let made = |dataset: &str| -> BTreeMap<String, (String, Option<f32>)> {
+        let rows = motions_of(&dir.path(dataset)).into_iter();
         rows.map(|(id, row)| (id, (row.rotation_source, row.fit_error_m)))
             .collect()
     };
-    let expected = made(&fitted);
+    let expected = made("fitted");
     let is_told = |(source, error): &(String, Option<f32>)| source != "native" && error.is_some();
     assert!(expected.values().all(is_told), "{expected:?}");
     for layout in ["amass", "bvh", "gltf"] {
-        let [files, back] =
-            ["files", "back"].map(|name| dir.path().join(format!("{layout}-{name}")));
-        typed("export {} --to {} --out {}", &[&fitted, &layout, &files]).expect_code(0);
-        ingested(&files, &back, &[]);
-        assert_eq!(made(&back), expected, "{layout}");
+        dir.run(&format!("export @fitted --to {layout} --out @{layout}"));
+        dir.run(&format!("ingest @{layout} --out @{layout}-back"));
+        assert_eq!(made(&format!("{layout}-back")), expected, "{layout}");
     }
 }

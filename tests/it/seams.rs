@@ -85,12 +85,9 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     copy_with(&workshop, "editor", "broken", |record| {
         record["config"]["compose"]["config"]["mcm_ratio"] = json!(7.0);
     });
-    let clip = workshop.clip();
     let ask = |run: &str| -> Ran {
-        let motion = clip.display();
-        workshop.typed(&format!(
-            "edit @{run} --motion {motion} --text wave --out @none.bvh"
-        ))
+        let line = format!("edit @{run} --motion @walk.bvh --text wave --out @none.bvh");
+        workshop.typed(&line)
     };
     ask("broken").expect_refused("mcm_ratio");
 
@@ -120,10 +117,8 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         ["anchor", "range", "slerp"].map(|key| settings[key].as_str().unwrap_or("").to_owned())
     };
     assert_eq!(with("released", ""), ["translation", "scalar", "official"]);
-    assert_eq!(
-        with("own", "range = \"per-axis\"\n"),
-        ["translation", "per-axis", "official"]
-    );
+    let own = with("own", "range = \"per-axis\"\n");
+    assert_eq!(own, ["translation", "per-axis", "official"]);
 }
 
 #[test]
@@ -183,19 +178,14 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     // 106 frames fills a window.
     let found = lengths("long-edits");
     let short = found.iter().filter(|n| **n <= 105).count();
-    assert!(
-        short > 0,
-        "the items have a clip shorter than 5.4 s: {found:?}"
-    );
+    assert!(short > 0, "a clip is shorter than 5.4 s: {found:?}");
     assert_eq!(ran.json::<Value>()["num_short"], short);
     ran.expect_said("shorter than a window");
 
     // An instruction with unknown words, for a short range.
-    let clip = workshop.clip();
-    let ran = workshop.run(&format!(
-        "--json edit @editor --motion {} --during '20:30 Levitate ultrasonically!' --out @said",
-        clip.display()
-    ));
+    let during = "--during '20:30 Levitate ultrasonically!' --out @said";
+    let line = format!("--json edit @editor --motion @walk.bvh {during}");
+    let ran = workshop.run(&line);
     let said: Value = ran.json();
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
     ran.expect_said("never seen levitate, ultrasonically");
@@ -208,10 +198,8 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     workshop.run(&format!("{fitted} --poses @poses"));
     workshop.run("edit @editor --items @items --poses @poses --out @posed");
     let [edited, posed, fitted] = ["edits", "posed", "fitted"].map(|name| row(&workshop, name));
-    assert_eq!(
-        edited.system,
-        format!("{} (twists of the source)", posed.system)
-    );
+    let twisted = format!("{} (twists of the source)", posed.system);
+    assert_eq!(edited.system, twisted);
     let settings: Value = serde_json::from_str(&fitted.settings).expect("an object");
     assert_eq!(settings["fit"], "paper");
 }
@@ -238,7 +226,7 @@ impl Quality {
 #[test]
 fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
-    bench.items("asked", &["--count", "24"]);
+    bench.items("asked", "--count 24");
     let small = bench.text("small.toml");
     // Diffusion settings of both runs; those of the preset belong to another prediction.
     let plain = "[diffusion]\nnoise = \"white\"\nschedule = \"rescaled\"\nnum_steps = 50\ntemperature = 1.0\nbone_weight = 0.0\ntell_frames = false\n";
@@ -257,8 +245,9 @@ fn windows_of_a_trained_editor_join() {
     }
     // The windows of the two differ, so the real data have no seams where both are scored.
     let [[_, apart], [real, joined]] = ["apart", "joined"].map(|run| {
-        let edits = bench.answers(run, "asked", &format!("{run}-edits"), &["--name", run]);
-        let scores = bench.scores(&[&edits], &["--further"]);
+        let edits = format!("{run}-edits");
+        bench.answers(run, "asked", &edits, &format!("--name {run}"));
+        let scores = bench.scores(&format!("@{edits}"), "--further");
         ["Real Data", run].map(|system| Quality::of(&scores, system))
     });
     let ratio = |quality: &Quality| quality.seam / quality.inside;

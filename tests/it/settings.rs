@@ -77,10 +77,11 @@ fn a_plan_whose_results_would_replace_each_other_is_refused() {
              metrics = [\"{metric}\"]\n"
         )
     };
-    let begun = |results: [String; 2]| {
-        folder.put("plan.toml", format!("{plan}{}", results.concat()));
+    let reproduced = |plan: String| {
+        folder.put("plan.toml", plan);
         folder.typed("reproduce @plan.toml --dry-run")
     };
+    let begun = |results: [String; 2]| reproduced(format!("{plan}{}", results.concat()));
     for (results, said) in [
         (
             [table("main"), table("main")],
@@ -121,9 +122,8 @@ fn a_plan_whose_results_would_replace_each_other_is_refused() {
             "system \"one\" makes no use of edit.coordinator_steps",
         ),
     ] {
-        folder.put("plan.toml", format!("{plan}{settings}\n{}", table("main")));
-        let ran = folder.typed("reproduce @plan.toml --dry-run");
-        ran.expect_refused(said);
+        let unusable = format!("{plan}{settings}\n{}", table("main"));
+        reproduced(unusable).expect_refused(said);
     }
     for (model, key, said) in [
         (
@@ -143,18 +143,15 @@ fn a_plan_whose_results_would_replace_each_other_is_refused() {
         ),
     ] {
         let figure = format!("[[figure]]\nname = \"equal\"\nkey = \"{key}\"\nvalues = [2, 5]\n");
-        folder.put("plan.toml", format!("{plan}model = \"{model}\"\n{figure}"));
-        let ran = folder.typed("reproduce @plan.toml --dry-run");
-        ran.expect_refused(said);
+        let unusable = format!("{plan}model = \"{model}\"\n{figure}");
+        reproduced(unusable).expect_refused(said);
     }
     for (name, said) in [
         ("", "expected a name"),
         ("Identity", "is a row of every table"),
     ] {
         let named = plan.replace("\"one\"", &format!("{name:?}"));
-        folder.put("plan.toml", format!("{named}{}", table("main")));
-        let ran = folder.typed("reproduce @plan.toml --dry-run");
-        ran.expect_refused(said);
+        reproduced(format!("{named}{}", table("main"))).expect_refused(said);
     }
     for results in [
         [table("main"), table("1")],
@@ -170,9 +167,8 @@ fn a_split_without_pairs_is_said() {
     let folder = Folder::of_clips(120);
     let pairs = |lines: &str, name: &str| -> String {
         folder.put("splits.csv", lines);
-        folder.run(&format!(
-            "ingest @corpus --out @{name} --splits @splits.csv"
-        ));
+        let line = format!("ingest @corpus --out @{name} --splits @splits.csv");
+        folder.run(&line);
         folder.run(&format!("pairs @{name}")).stderr
     };
     let said = pairs("*,train\n", "held-out");

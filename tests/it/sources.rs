@@ -14,8 +14,8 @@ use crate::grown::{
     verified,
 };
 use crate::util::{
-    Ran, arg, assert_has, assert_tells, command, corpus, everything, files_with_extension, put,
-    rows_of, skipped_of, stance, text_of, typed,
+    Folder, Ran, arg, assert_has, assert_tells, command, everything, files_with_extension, len_of,
+    list_of, name_of, put, rows_of, skipped_of, text_of, word_of, words_of,
 };
 
 /// Runs `ingest`, which must end with this code, and returns its document.
@@ -30,16 +30,11 @@ fn asked(source: impl AsRef<OsStr>, out: &Path) -> String {
     said["reason"].as_str().expect("a text").to_owned()
 }
 
-fn list(value: &Value) -> Vec<&str> {
-    let list = value.as_array().expect("a list").iter();
-    list.map(|item| item.as_str().expect("a text")).collect()
-}
-
 /// Two folders of a few takes each, with the same file names.
-fn two_people() -> (tempfile::TempDir, PathBuf, PathBuf) {
-    let dir = corpus(12);
-    let all = files_with_extension(&dir.path().join("corpus"), "bvh");
-    let [anna, ben] = ["anna/bvh", "ben/bvh"].map(|folder| dir.path().join(folder));
+fn two_people() -> (Folder, PathBuf, PathBuf) {
+    let dir = Folder::of_clips(12);
+    let all = files_with_extension(&dir.path("corpus"), "bvh");
+    let [anna, ben] = ["anna/bvh", "ben/bvh"].map(|folder| dir.path(folder));
     for (folder, own) in [(&anna, &all[..3]), (&ben, &all[3..6])] {
         for (number, file) in own.iter().enumerate() {
             put(folder.join(format!("take{number}.bvh")), text_of(file));
@@ -50,11 +45,10 @@ fn two_people() -> (tempfile::TempDir, PathBuf, PathBuf) {
 
 #[test]
 fn folders_that_share_a_file_are_two_sources_and_one_may_be_given_alone() {
-    let (dir, a, b) = halves(12);
+    let (_dir, a, b, dataset) = halves(12);
     for folder in [&a, &b] {
         put(folder.join("LICENSE"), "MIT License\n");
     }
-    let dataset = dir.path().join("dataset");
     ingest(&[&a], &dataset, &[], 0);
     let before = clips(&dataset);
     let grown = ingest(&[&b], &dataset, &[], 0);
@@ -71,7 +65,7 @@ fn folders_that_share_a_file_are_two_sources_and_one_may_be_given_alone() {
 #[test]
 fn takes_that_are_numbered_alike_belong_to_two_people() {
     let (dir, anna, ben) = two_people();
-    let dataset = dir.path().join("dataset");
+    let dataset = dir.path("dataset");
     ingest(&[&anna], &dataset, &[], 0);
     let before = clips(&dataset);
     let said = asked(&ben, &dataset);
@@ -87,11 +81,27 @@ fn takes_that_are_numbered_alike_belong_to_two_people() {
     assert_eq!(again["already_complete"], true);
     assert_tells(&again["remarks"], "is source ben");
     // Two sources of one name in one command are refused before anything is written.
-    let fresh = dir.path().join("fresh");
+    let fresh = dir.path("fresh");
     let said = grow(&[&anna, &ben], &fresh, &[], 2);
     assert_eq!(said["code"], "E-SOURCE-NAME", "{said}");
     assert_tells(&said["reason"], &named("anna-bvh", &anna));
     assert!(!fresh.exists());
+    // So are two that hold the same file.
+    let above = dir.path("anna");
+    #[cfg(unix)]
+    std::os::unix::fs::symlink(&anna, dir.path("link")).expect("linked");
+    for other in [
+        named("all", &above),
+        named("again", &anna),
+        named("one", &anna.join("take1.bvh")),
+        #[cfg(unix)]
+        named("linked", &dir.path("link")),
+    ] {
+        let said = grow(&[named("anna", &anna), other], &fresh, &[], 2);
+        assert_eq!(said["code"], "E-SOURCE-NAME", "{said}");
+        assert_tells(&said["reason"], "give");
+        assert!(!fresh.exists());
+    }
     let both = [named("anna", &anna), named("ben", &ben)];
     grow(&both, &fresh, &[], 0);
     let ids: Vec<String> = clips(&fresh).into_keys().collect();
@@ -111,8 +121,7 @@ fn run_in(folder: &Path, source: &str, dataset: &Path) -> Ran {
 
 #[test]
 fn the_current_folder_has_its_own_name() {
-    let (dir, a, b) = halves(12);
-    let dataset = dir.path().join("dataset");
+    let (_dir, a, b, dataset) = halves(12);
     for folder in [&a, &b] {
         run_in(folder, ".", &dataset).expect_code(0);
     }
@@ -125,7 +134,7 @@ fn the_current_folder_has_its_own_name() {
 #[test]
 fn files_of_a_folder_are_one_source_and_what_stands_before_the_first_sign_is_its_name() {
     let (dir, anna, ben) = two_people();
-    let [dataset, other, odd] = ["dataset", "other", "a=b"].map(|name| dir.path().join(name));
+    let [dataset, other, odd] = ["dataset", "other", "a=b"].map(|name| dir.path(name));
     let takes = ["take0.bvh", "take1.bvh", "take2.bvh"].map(|name| anna.join(name));
     ingest(&takes[..2], &dataset, &[], 0);
     let ids: Vec<String> = clips(&dataset).into_keys().collect();
@@ -140,7 +149,7 @@ fn files_of_a_folder_are_one_source_and_what_stands_before_the_first_sign_is_its
     assert!(said.contains("bvh="), "{said}");
 
     fs::rename(&anna, &odd).expect("moved");
-    let run = |source: &str| run_in(dir.path(), source, &other).code;
+    let run = |source: &str| run_in(&dir.path(""), source, &other).code;
     assert_eq!(run("a=b"), 1, "there is no b");
     assert_eq!(run("a#c=b"), 2);
     assert_eq!(run("a="), 2);
@@ -152,7 +161,7 @@ fn files_of_a_folder_are_one_source_and_what_stands_before_the_first_sign_is_its
 
 #[test]
 fn nothing_leaves_unless_it_is_asked_for() {
-    let (_dir, source, _, dataset) = begun_with_half(12);
+    let (dir, source, _, dataset) = begun_with_half(12);
     let before = clips(&dataset);
     let judged = judge(&dataset);
     let labelled = |row: &&MotionRow| judged.values().any(|mask| mask.motion_id == row.id);
@@ -165,18 +174,18 @@ fn nothing_leaves_unless_it_is_asked_for() {
         fs::remove_file(source.join(&row.source_path)).expect("removed");
     }
     let kept = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(list(&kept["growth"]["missing"]), gone);
+    assert_eq!(words_of(&kept["growth"]["missing"]), gone);
     assert_eq!(clips(&dataset), before);
-    let text = stance(&["ingest", arg(&source), "--out", arg(&dataset)]).printed();
+    let text = dir.run("ingest @corpus --out @dataset").stdout;
     assert_has(&text, &["2 missing, kept; --prune removes them"]);
     // A clip with labels by people is not pruned.
     let refused = grow(&[&source], &dataset, &["--prune"], 1);
     assert_tells(&refused["reason"], "--drop-labels");
     assert_eq!(clips(&dataset), before);
     let pruned = ingest(&[&source], &dataset, &["--prune", "--drop-labels"], 0);
-    assert_eq!(list(&pruned["growth"]["pruned"]), gone);
-    let lost = pruned["growth"]["lost"].as_array().expect("a list");
-    let is_gone = |lost: &Value| gone.contains(&lost["clip"].as_str().expect("an id"));
+    assert_eq!(words_of(&pruned["growth"]["pruned"]), gone);
+    let lost = list_of(&pruned["growth"]["lost"]);
+    let is_gone = |lost: &Value| gone.contains(&word_of(&lost["clip"]));
     assert!(!lost.is_empty() && lost.iter().all(is_gone), "{lost:?}");
     assert_eq!(clips(&dataset).len(), before.len() - 2);
     verified(&dataset);
@@ -184,7 +193,7 @@ fn nothing_leaves_unless_it_is_asked_for() {
 
 #[test]
 fn a_clip_whose_file_is_damaged_stays_as_it_was() {
-    let (_dir, source, _, dataset) = begun_with_half(12);
+    let (dir, source, _, dataset) = begun_with_half(12);
     let (before, judged) = (clips(&dataset), judge(&dataset));
     let file = files(&source)[0].clone();
     let kept = fs::read(&file).expect("read");
@@ -206,9 +215,9 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
     let grown = ingest(&[&source], &dataset, &["--prune"], 3);
     assert_eq!(grown["growth"]["kept_unread"], json!([id]), "{grown}");
     assert_eq!(grown["growth"]["kept_unusable"], json!([]), "{grown}");
-    let text = stance(&["ingest", arg(&source), "--prune", "--out", arg(&dataset)]);
-    let text = text.expect_code(3).stdout;
-    assert_has(&text, &["could not be read this time"]);
+    let text = dir.typed("ingest @corpus --prune --out @dataset");
+    let text = text.expect_code(3);
+    text.expect_printed("could not be read this time");
     assert_eq!(clips(&dataset), before);
     // The file is restored. Then its clip is pruned while the file is damaged again.
     put(&file, &kept);
@@ -223,8 +232,7 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
 
 #[test]
 fn a_file_that_moves_keeps_its_clip_within_its_source_alone() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
+    let (_dir, source, more, dataset) = halves(12);
     ingest(&[&source, &more], &dataset, &[], 0);
     let (before, judged) = (clips(&dataset), judge(&dataset));
     let all = files(&source);
@@ -232,8 +240,8 @@ fn a_file_that_moves_keeps_its_clip_within_its_source_alone() {
     move_files(&all[1..2], &more.join("lent"));
     let grown = ingest(&[&source, &more], &dataset, &[], 0);
     let growth = &grown["growth"];
-    assert_eq!(list(&growth["moved"]).len(), 1, "{growth}");
-    assert_eq!(list(&growth["missing"]).len(), 1);
+    assert_eq!(len_of(&growth["moved"]), 1, "{growth}");
+    assert_eq!(len_of(&growth["missing"]), 1);
     assert_eq!(growth["new"], 1);
     let after = clips(&dataset);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
@@ -246,7 +254,7 @@ fn a_file_that_moves_keeps_its_clip_within_its_source_alone() {
     let count = clips(&dataset).len();
     move_files(&[all[2].clone(), copy], &source.join("twins"));
     let grown = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(list(&grown["growth"]["moved"]).len(), 0);
+    assert_eq!(len_of(&grown["growth"]["moved"]), 0);
     assert_eq!(grown["growth"]["new"], 2);
     assert_eq!(clips(&dataset).len(), count + 2);
     verified(&dataset);
@@ -254,12 +262,11 @@ fn a_file_that_moves_keeps_its_clip_within_its_source_alone() {
 
 #[test]
 fn a_dry_run_tells_what_happens_and_writes_nothing() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
+    let (dir, source, more, dataset) = halves(12);
     let told = grow(&[&source], &dataset, &["--dry-run"], 0);
     assert!(!dataset.exists());
     assert_eq!(told["sources"][0]["is_new"], true);
-    let new = list(&told["sources"][0]["new"]).len();
+    let new = len_of(&told["sources"][0]["new"]);
     ingest(&[&source], &dataset, &[], 0);
     assert_eq!(clips(&dataset).len(), new);
     let judged = judge(&dataset);
@@ -276,18 +283,18 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
     let rest: Vec<&PathBuf> = others.iter().filter(is_rest).collect();
     fs::remove_file(rest[0]).expect("removed");
     move_files(&[rest[1].clone()], &source.join("sorted"));
-    let before = everything(dir.path());
+    let before = everything(&dir.path(""));
     let args = [&source, &more];
     let told = grow(&args, &dataset, &["--dry-run"], 1);
-    assert_eq!(everything(dir.path()), before);
-    let sources = told["sources"].as_array().expect("a list");
+    assert_eq!(everything(&dir.path("")), before);
+    let sources = list_of(&told["sources"]);
     let id = labelled.id.as_str();
     assert_eq!(sources[0]["changed"], json!([id]), "{told}");
-    assert_eq!(list(&sources[0]["missing"]).len(), 1);
+    assert_eq!(len_of(&sources[0]["missing"]), 1);
     assert_eq!(sources[0]["moved"].as_object().expect("a map").len(), 1);
     assert_eq!(sources[1]["name"], "more");
     assert_eq!(sources[1]["is_new"], true);
-    let lost = told["lost"].as_array().expect("a list");
+    let lost = list_of(&told["lost"]);
     assert!(!lost.is_empty() && lost.iter().all(|lost| lost["clip"] == id));
     assert_tells(&told["refusals"][0], "--drop-labels");
     let allowed = ["--drop-labels", "--prune", "--dry-run"];
@@ -297,15 +304,15 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
     // A dry run reports settings that differ.
     let told = grow(&[&source], &dataset, &["--dry-run", "--fps", "30"], 1);
     assert_tells(&told["settings"], "fps was 20 and is now 30");
-    let text = stance(&["ingest", arg(&source), "--out", arg(&dataset), "--dry-run"]);
-    assert!(text.printed().starts_with("nothing was written"));
+    let text = dir.run("ingest @corpus --out @dataset --dry-run").stdout;
+    assert!(text.starts_with("nothing was written"));
 }
 
 /// Checks that a dry run predicted the result of a run.
 pub(crate) fn predicted(told: &Value, done: &Value) {
-    let (sources, growth) = (told["sources"].as_array().expect("a list"), &done["growth"]);
+    let (sources, growth) = (list_of(&told["sources"]), &done["growth"]);
     let each = |what: &str| -> Vec<&str> {
-        let listed = sources.iter().flat_map(|source| list(&source[what]));
+        let listed = sources.iter().flat_map(|source| words_of(&source[what]));
         let mut listed: Vec<&str> = listed.collect();
         listed.sort_unstable();
         listed
@@ -317,18 +324,17 @@ pub(crate) fn predicted(told: &Value, done: &Value) {
         "pruned",
         "kept_unusable",
     ] {
-        assert_eq!(list(&growth[what]), each(what), "{what}");
+        assert_eq!(words_of(&growth[what]), each(what), "{what}");
     }
-    let moved = sources
-        .iter()
-        .map(|source| source["moved"].as_object().expect("a map").len());
-    assert_eq!(list(&growth["moved"]).len(), moved.sum::<usize>());
+    let moved = sources.iter();
+    let moved = moved.map(|source| source["moved"].as_object().expect("a map").len());
+    assert_eq!(len_of(&growth["moved"]), moved.sum::<usize>());
     assert_eq!(growth["new"], each("new").len());
 }
 
 #[test]
 fn a_dataset_in_its_source_does_not_read_itself() {
-    let (dir, source, _) = halves(12);
+    let (dir, source, ..) = halves(12);
     let dataset = source.join("dataset");
     put(source.join("notes.txt"), "no motion");
     let first = ingest(&[&source], &dataset, &[], 0);
@@ -346,7 +352,7 @@ fn a_dataset_in_its_source_does_not_read_itself() {
     assert_eq!(made["ingested"], first["ingested"]);
     let said = "folder dataset of source corpus is a dataset";
     assert_tells(&made["remarks"], said);
-    let copy = dir.path().join("copy");
+    let copy = dir.path("copy");
     ingest(&[&other], &copy, &[], 0);
     assert_eq!(clips(&copy).len(), 6);
     let said = asked(&other, &other);
@@ -355,10 +361,9 @@ fn a_dataset_in_its_source_does_not_read_itself() {
 
 #[test]
 fn new_settings_read_every_source_again() {
-    let (dir, source, more) = halves(12);
-    let third = dir.path().join("third");
+    let (dir, source, more, dataset) = halves(12);
+    let third = dir.path("third");
     move_files(&files(&more)[..2], &third);
-    let dataset = dir.path().join("dataset");
     ingest(&[&source, &more], &dataset, &[], 0);
     let has_rate = |fps: f32| motions(&dataset).iter().all(|row| row.fps == fps);
     let settings = ["--fps", "30", "--new-version"];
@@ -368,7 +373,7 @@ fn new_settings_read_every_source_again() {
     assert_eq!(clips(&dataset).len(), 12);
     verified(&dataset);
     // A run with new settings is refused if a source or the file of a clip is missing.
-    let aside = dir.path().join("aside");
+    let aside = dir.path("aside");
     fs::rename(&more, &aside).expect("moved");
     let settings = ["--fps", "20", "--new-version"];
     let said = grow(&[&third], &dataset, &settings, 2);
@@ -381,7 +386,7 @@ fn new_settings_read_every_source_again() {
     assert!(has_rate(30.0));
     let settings = [&settings[..], &["--prune"]].concat();
     let pruned = grow(&[&third], &dataset, &settings, 0);
-    assert_eq!(list(&pruned["growth"]["pruned"]).len(), 1);
+    assert_eq!(len_of(&pruned["growth"]["pruned"]), 1);
     assert!(has_rate(20.0));
     assert_eq!(clips(&dataset).len(), 11);
     verified(&dataset);
@@ -389,9 +394,9 @@ fn new_settings_read_every_source_again() {
 
 #[test]
 fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
-    let dir = corpus(4);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
+    let dir = Folder::of_clips(4);
+    let source = dir.path("corpus");
+    let dataset = dir.path("dataset");
     let old = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/datasets/1.7.0");
     for (name, bytes) in files_below(&old) {
         put(dataset.join(name), bytes);
@@ -403,24 +408,23 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
     assert_has(&asked(&source, &dataset), &[sources, &one, &own]);
     let grown = grow(&[own], &dataset, &[], 0);
     assert_eq!(grown["growth"]["new"], 4);
-    let empty = dir.path().join("empty");
+    let empty = dir.path("empty");
     put(empty.join("notes.txt"), "no motion");
     let grown = grow(&[named("one-data", &empty)], &dataset, &[], 0);
-    assert_eq!(list(&grown["growth"]["missing"]).len(), 2, "{grown}");
+    assert_eq!(len_of(&grown["growth"]["missing"]), 2, "{grown}");
     let after = clips(&dataset);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
 }
 
 #[test]
 fn no_path_of_this_machine_is_published() {
-    let (dir, source, more) = halves(12);
+    let (dir, source, more, dataset) = halves(12);
     put(source.join("broken.bvh"), "HIERARCHY\nROOT");
-    let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &[], 3);
     ingest(&[&more], &dataset, &[], 3);
     judge(&dataset);
-    let secret = dir.path().file_name().expect("a name");
-    let secret = secret.as_encoded_bytes();
+    let secret = name_of(&dir.path(""));
+    let secret = secret.as_bytes();
     let holds = |folder: &Path| -> Vec<PathBuf> {
         let files = everything(folder).into_iter();
         let told = files.filter(|(path, bytes)| {
@@ -433,8 +437,8 @@ fn no_path_of_this_machine_is_published() {
     assert!(dataset.join(".stance/sources.json").exists());
     assert_eq!(text_of(dataset.join(".stance/.gitignore")), "*\n");
     for layout in ["bvh", "webdataset", "stance"] {
-        let out = dir.path().join(layout);
-        stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
+        dir.run(&format!("export @dataset --to {layout} --out @{layout}"));
+        let out = dir.path(layout);
         assert_eq!(holds(&out), Vec::<PathBuf>::new());
         assert!(!out.join(".stance").exists());
     }
@@ -443,19 +447,15 @@ fn no_path_of_this_machine_is_published() {
 #[test]
 fn many_processes_grow_a_dataset_alike() {
     let (dir, anna, ben) = two_people();
-    let [one, many] = ["one", "many"].map(|name| dir.path().join(name));
+    let [one, many] = ["one", "many"].map(|name| dir.path(name));
     for dataset in [&one, &many] {
         grow(&[named("anna", &anna)], dataset, &[], 0);
     }
     fs::remove_file(anna.join("take1.bvh")).expect("removed");
     let sources = [named("anna", &anna), named("ben", &ben)];
     let done = grow(&sources, &one, &["--prune"], 0);
-    let plan = dir.path().join("plan");
     let [anna, named_ben] = &sources;
-    let line = "stage plan ingest {} {} --prune --into {} --out {}";
-    typed(line, &[anna, named_ben, &many, &plan]).expect_code(0);
-    stance(&["stage", "work", arg(&plan)]).expect_code(0);
-    let made: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
+    let made = dir.staged(&format!("ingest {anna} {named_ben} --prune --into @many"));
     assert_eq!(made["root_hash"], done["root_hash"]);
     // A committed plan records the paths of sources too.
     let again = grow(&[&ben], &many, &[], 0);
@@ -472,7 +472,7 @@ fn a_folder_named_like_another_source_is_asked_about() {
     assert!(said.contains("another name"), "{said}");
     assert_eq!(clips(&dataset), before);
     // The prefix of a source that is added later differs from the names of existing folders.
-    let fresh = dir.path().join("fresh");
+    let fresh = dir.path("fresh");
     ingest(&[&source], &fresh, &[], 0);
     ingest(&[&more], &fresh, &[], 0);
     let rows: Vec<SkippedRow> = rows_of(&fresh);

@@ -8,10 +8,7 @@ use datasets_spec::record::MotionRow;
 use serde_json::{Value, json};
 
 use crate::grown::{files, ingest, motions, move_files};
-use crate::util::{
-    arg, assert_has, assert_tells, corpus, files_with_extension, json_of, put, stance, text_of,
-    typed,
-};
+use crate::util::{Folder, assert_has, assert_tells, files_with_extension, json_of, put};
 
 /// The splits of the clips with each label.
 fn splits(
@@ -52,13 +49,13 @@ fn with_subjects(corpus: &Path) -> usize {
 
 #[test]
 fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
-    let dir = corpus(120);
-    let source = dir.path().join("corpus");
+    let dir = Folder::of_clips(120);
+    let source = dir.path("corpus");
     let without = with_subjects(&source);
-    let later = dir.path().join("later");
+    let later = dir.path("later");
     let half: Vec<PathBuf> = files(&source).into_iter().step_by(2).collect();
     move_files(&half, &later);
-    let dataset = dir.path().join("dataset");
+    let dataset = dir.path("dataset");
     let by = ["--split-by", "subject"];
     let first = ingest(&[&source], &dataset, &by, 0);
     let of_subjects = || {
@@ -79,7 +76,7 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
     assert_eq!(rows.len(), 120);
     let lacking = rows.iter().filter(|row| row.subject.is_none());
     assert_eq!(lacking.count(), without);
-    let card = text_of(dataset.join("README.md"));
+    let card = dir.text("dataset/README.md");
     assert_has(&card, &["drawn by subject"]);
     // The dataset keeps the unit by which its splits were drawn.
     let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);
@@ -89,12 +86,12 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
 
 #[test]
 fn clips_of_an_action_share_a_drawn_split() {
-    let dir = corpus(156);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &["--split-by", "action"], 0);
+    let dir = Folder::of_clips(156);
+    let dataset = dir.path("dataset");
+    let by = ["--split-by", "action"];
+    ingest(&[dir.path("corpus")], &dataset, &by, 0);
     is_kept_together(&splits(&dataset, |row| row.action.clone()));
-    stance(&["verify", arg(&dataset)]).expect_code(0);
-    let ran = typed("ingest {} --split-by day --out {}", &[&source, &dataset]);
+    dir.run("verify @dataset");
+    let ran = dir.typed("ingest @corpus --split-by day --out @dataset");
     ran.expect_code(2).expect_said("clip, subject, action");
 }

@@ -101,9 +101,8 @@ pub(crate) fn cells(line: &str) -> Vec<String> {
     let line = line.strip_prefix('|').unwrap_or(line);
     let line = line.strip_suffix('|').unwrap_or(line).replace("\\|", "\0");
     let cells = line.split('|');
-    cells
-        .map(|cell| unescaped(&cell.replace('\0', "|")))
-        .collect()
+    let cells = cells.map(|cell| unescaped(&cell.replace('\0', "|")));
+    cells.collect()
 }
 
 /// A text without the escapes of Markdown.

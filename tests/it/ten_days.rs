@@ -9,24 +9,23 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use datasets_spec::Split;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::{Dataset, Split};
 use serde_json::{Value, json};
 
 use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, named, ran, refused,
 };
 use crate::sources::predicted;
-use crate::util::{arg, corpus, everything, len_of, rows_of, stance, typed};
+use crate::util::{arg, everything, len_of, manifest_of, rows_of};
 use crate::versions::only_current_rows_are_found;
 
 /// Copies motions to a folder under the names of other motions of the same format.
 fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
     for (number, name) in names.iter().enumerate() {
         let place = to.join(name.strip_prefix(from).expect("below the source"));
-        let mut twins = motions
-            .iter()
-            .filter(|twin| twin.extension() == name.extension());
+        let is_twin = |twin: &&PathBuf| twin.extension() == name.extension();
+        let mut twins = motions.iter().filter(is_twin);
         let twin = twins.nth(number % 3).expect("enough motions");
         fs::create_dir_all(place.parent().expect("a folder")).expect("made");
         fs::copy(twin, place).expect("copied");
@@ -54,8 +53,7 @@ impl Days {
         for (id, mask) in &self.by_people {
             assert_eq!(found.get(id), Some(mask), "{day}");
         }
-        let opened = Dataset::open(dataset).expect("a dataset");
-        assert!(opened.manifest().accounting.balances(), "{day}");
+        assert!(manifest_of(dataset).accounting.balances(), "{day}");
         only_current_rows_are_found(dataset, day);
         if let Ok(line) = std::env::var("STANCE_EACH_DAY") {
             let mut words = line.split(' ');
@@ -81,11 +79,6 @@ impl Days {
         done
     }
 
-    fn version(&self) -> u64 {
-        let opened = Dataset::open(&self.dataset).expect("a dataset");
-        opened.manifest().version
-    }
-
     /// Whether a person labelled a clip.
     fn is_labelled(&self, row: &MotionRow) -> bool {
         let mut masks = self.by_people.values();
@@ -95,11 +88,10 @@ impl Days {
 
 #[test]
 fn ten_days_end_with_every_label_that_a_person_made() {
-    let (dir, source, more) = halves(24);
-    let dataset = dir.path().join("dataset");
+    let (dir, source, more, dataset) = halves(24);
     // 1 ingest, 2 label, 3 annotate.
     ingest(&[&source], &dataset, &[], 0);
-    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    dir.run("pairs @dataset");
     let mut days = Days {
         by_people: judge(&dataset),
         splits: BTreeMap::new(),
@@ -114,7 +106,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     days.grow(&[&source, &more], &[]);
     days.check("a source added");
     // The takes in a second person's folder have the same names as those of the first person.
-    let theirs = dir.path().join("friend/corpus");
+    let theirs = dir.path("friend/corpus");
     copy_twins(&files(&source)[..4], &files(&more), &source, &theirs);
     ran(&[&theirs], &dataset, &[]).expect_code(2);
     days.grow(&[named("friend", &theirs)], &[]);
@@ -140,13 +132,13 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let mut bare = rows.iter().filter(of_more);
     let bare = bare.find(|row| !days.is_labelled(row));
     let bare = &bare.expect("an unlabelled clip").source_path;
-    fs::remove_file(dir.path().join(bare)).expect("removed");
+    fs::remove_file(dir.path(bare)).expect("removed");
     days.grow(&[&source, &more], &[]);
     days.check("a file is missing");
     days.grow(&[&source, &more], &["--prune"]);
     days.check("pruned");
     // The disk of a source is missing for a day.
-    let aside = dir.path().join("unplugged");
+    let aside = dir.path("unplugged");
     fs::rename(&more, &aside).expect("moved");
     fs::create_dir(&more).expect("an empty mount");
     let total = clips(&dataset).len();
@@ -170,8 +162,8 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     days.grow(&[&source, &more], &[]);
     days.check("a file renamed");
     // The whole folder moves.
-    let moved = dir.path().join("archive/corpus");
-    fs::create_dir(dir.path().join("archive")).expect("made");
+    let moved = dir.path("archive/corpus");
+    fs::create_dir(dir.path("archive")).expect("made");
     fs::rename(&source, &moved).expect("moved");
     ran(&[&moved], &dataset, &[]).expect_code(2);
     let (moved, more) = (named("corpus", &moved), arg(&more).to_owned());
@@ -179,43 +171,39 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     assert_eq!(same["already_complete"], true);
     days.check("a folder moved");
     // Somebody removes labelled clips by mistake; a restore brings back the clips and their labels.
-    let before = (clips(&dataset), days.version());
+    let before = (clips(&dataset), manifest_of(&dataset).version);
     let row = rows.iter().find(|row| days.is_labelled(row));
-    let condition = format!("split = '{}'", row.expect("a labelled clip").split);
-    let remove = ["dataset", "remove", arg(&dataset), "--where", &condition];
-    stance(&remove).expect_code(1);
+    let split = row.expect("a labelled clip").split;
+    let remove = format!("dataset remove @dataset --where \"split = '{split}'\"");
+    dir.typed(&remove).expect_code(1);
     days.check("a removal refused");
-    stance(&[&remove[..], &["--drop-labels"]].concat()).expect_code(0);
+    dir.run(&format!("{remove} --drop-labels"));
     let left = masks(&dataset);
     assert!(days.by_people.keys().any(|id| !left.contains_key(id)));
-    let to = before.1.to_string();
-    stance(&["dataset", "restore", arg(&dataset), "--to", &to]).expect_code(0);
+    dir.run(&format!("dataset restore @dataset --to {}", before.1));
     assert_eq!(clips(&dataset), before.0);
     days.check("restored");
     let same = days.grow(&[&moved, &more], &[]);
     assert_eq!(same["growth"]["new"], 0);
     days.check("grown after a restore");
-    let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)]).done();
+    let compacted: Value = dir.json("dataset compact @dataset");
     assert!(compacted["after"]["files"].as_u64() < compacted["before"]["files"].as_u64());
     assert_eq!(clips(&dataset), before.0);
     days.check("compacted");
     // 9 merge with the dataset of a colleague.
-    let (colleague, theirs) = (dir.path().join("colleague"), corpus(30));
-    let theirs = theirs.path().join("corpus");
+    dir.run("corpus --clips 30 --out @theirs/corpus");
+    let (colleague, theirs) = (dir.path("colleague"), dir.path("theirs/corpus"));
     ingest(&[&theirs], &colleague, &["--seed", "3"], 0);
-    let both = dir.path().join("both");
-    let datasets: [&dyn AsRef<OsStr>; 3] = [&dataset, &colleague, &both];
-    typed("dataset merge {} {} --out {}", &datasets).expect_code(0);
+    dir.run("dataset merge @dataset @colleague --out @both");
     let mut merged = Days {
-        dataset: both,
+        dataset: dir.path("both"),
         splits: BTreeMap::new(),
         by_people: days.by_people.clone(),
     };
     merged.check("merged");
     // 10 export and prune.
-    let export = dir.path().join("export");
-    typed("export {} --to bvh --out {}", &[&dataset, &export]).expect_code(0);
-    stance(&["dataset", "prune", arg(&dataset), "--keep", "1"]).expect_code(0);
+    dir.run("export @dataset --to bvh --out @export");
+    dir.run("dataset prune @dataset --keep 1");
     days.check("old versions are gone");
     let pairs: Vec<PairRow> = rows_of(&dataset);
     let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, json_of, npy, put, stance, text_of, typed, typed_with};
+use crate::util::{Ran, put};
 
 const WIDTH: usize = 26;
 
@@ -27,12 +27,12 @@ impl<'a> TextTable<'a> {
 
     /// The table with vectors of further texts.
     fn with(workshop: &'a Workshop, more: &[&str]) -> Self {
-        let listed: Value = typed("--json model texts {}", &[&workshop.dataset()]).done();
+        let listed: Value = workshop.json("model texts @dataset");
         let texts = serde_json::from_value(listed["texts"].clone());
         let mut texts: Vec<String> = texts.expect("a list of texts");
         texts.extend(more.iter().map(|text| (*text).to_owned()));
         let list = json!({ "texts": texts }).to_string();
-        put(workshop.path("texts.json"), list);
+        workshop.put("texts.json", list);
         let count = |text: &String, letter: u8| {
             let letters = text.bytes().map(|byte| byte.to_ascii_lowercase());
             letters.filter(|&byte| byte == letter).count() as f32
@@ -54,97 +54,78 @@ impl<'a> TextTable<'a> {
     }
 
     fn make(&self, name: &str, values: &[f32]) -> Ran {
-        let path = |name: &str| self.workshop.path(name);
-        let (texts, vectors, out) = (path("texts.json"), path("vectors.npy"), path(name));
-        let shape = format!("{}, {WIDTH}", values.len() / WIDTH);
-        let bytes: Vec<u8> = values.iter().copied().flat_map(f32::to_le_bytes).collect();
-        put(&vectors, npy("<f4", &shape, &bytes));
-        let line = "model table {} {} --encoder letters --out {}";
-        typed(line, &[&texts, &vectors, &out])
+        let vectors = pickle::npy::encode(&[values.len() / WIDTH, WIDTH], values);
+        self.workshop.put("vectors.npy", vectors);
+        let line = "model table @texts.json @vectors.npy --encoder letters";
+        self.workshop.typed(&format!("{line} --out @{name}"))
     }
 }
 
 /// Facts about the text encoder in the record of a run.
 fn frozen(workshop: &Workshop, run: &str) -> Value {
-    let record: Value = json_of(workshop.path(run).join("config.json"));
-    record["config"]["text"]["frozen"].clone()
+    workshop.record(run)["config"]["text"]["frozen"].clone()
 }
 
 #[test]
 fn a_table_of_vectors_goes_from_training_into_editing() {
     let workshop = Workshop::open();
-    let dataset = workshop.dataset();
     let vectors = TextTable::of(&workshop);
-    let lines = stance(&["model", "texts", arg(&dataset)]).printed();
+    let lines = workshop.run("model texts @dataset").stdout;
     assert_eq!(lines.lines().collect::<Vec<_>>(), vectors.texts);
     vectors.write("letters.safetensors", 1.0).expect_code(0);
     let short = vectors.make("short.safetensors", &vectors.values[WIDTH..]);
     short.expect_refused("no row for each");
 
-    let small = text_of(workshop.path("small.toml"));
-    let settings = workshop.path("table.toml");
-    put(&settings, format!("text.encoder = \"table\"\n{small}"));
-    let table = workshop.path("letters.safetensors");
-    let train = |model: &str, more: &[&str]| {
-        let settings = ["--config", arg(&settings), "--steps", "4"];
-        workshop.train_with(model, "editor", &[&settings, more].concat())
+    let small = workshop.text("small.toml");
+    let settings = format!("text.encoder = \"table\"\n{small}");
+    workshop.put("table.toml", settings);
+    let table = "--text-encoder @letters.safetensors";
+    let train = |more: &str| {
+        let line = "train motionrefit @dataset --out @editor --config @table.toml --steps 4";
+        workshop.typed(&format!("{line} {more}"))
     };
-    train("motionrefit", &[]).expect_refused("--text-encoder");
-    train("motionrefit", &["--text-encoder", arg(&table)]).expect_code(0);
-    let alone = workshop.path("tmed.toml");
-    put(&alone, "text.encoder = \"table\"\n");
-    let told = ["--config", arg(&alone), "--text-encoder", arg(&table)];
-    let tokens = workshop.train_with("tmed", "tmed", &told);
-    tokens.expect_refused("TMED reads tokens");
+    train("").expect_refused("--text-encoder");
+    train(table).expect_code(0);
+    workshop.put("tmed.toml", "text.encoder = \"table\"\n");
+    let tokens = format!("train tmed @dataset --out @tmed --config @tmed.toml {table}");
+    workshop.refused(&tokens, "TMED reads tokens");
     let frozen = frozen(&workshop, "editor");
     assert_eq!(frozen["encoder_hash"], "letters");
     assert_eq!(frozen["width"], WIDTH);
 
-    let run = workshop.path("editor");
     // A training that is refused leaves the vectors of the run as they are.
-    let (part, vectors) = (workshop.path("part"), run.join("embeddings.safetensors"));
-    let line = "dataset select {} --where {} --out {}";
-    typed(line, &[&dataset, &"n_frames > 100", &part]).expect_code(0);
-    let stored = fs::read(&vectors).expect("vectors");
-    let line = "train motionrefit {} --out {} --steps 4";
-    let told = ["--config", arg(&settings), "--text-encoder", arg(&table)];
-    typed_with(line, &[&part, &run], &told).expect_refused("dataset_hash");
-    assert!(fs::read(&vectors).expect("vectors") == stored);
+    workshop.run("dataset select @dataset --where 'n_frames > 100' --out @part");
+    let stored = || fs::read(workshop.path("editor/embeddings.safetensors")).expect("vectors");
+    let before = stored();
+    let of_part = "train motionrefit @part --out @editor --config @table.toml --steps 4";
+    workshop.refused(&format!("{of_part} {table}"), "dataset_hash");
+    assert!(stored() == before);
 
     // The run stores the vectors of the dataset's instructions.
-    let items = workshop.path("items");
-    let line = "items {} --split val --count 3 --out {}";
-    typed(line, &[&dataset, &items]).expect_code(0);
-    let clip = workshop.clip();
-    let items = ["--items", arg(&items)];
-    let spin = ["--motion", arg(&clip), "--text", "Spin twice."];
-    let edit = |out: &str, what: &[&str], table: Option<&str>| {
-        let (out, table) = (workshop.path(out), table.map(|name| workshop.path(name)));
-        let table = table.iter().flat_map(|path| ["--text-encoder", arg(path)]);
-        let more = [what, &table.collect::<Vec<_>>()].concat();
-        typed_with("edit {} --out {}", &[&run, &out], &more)
+    workshop.run("items @dataset --split val --count 3 --out @items");
+    let items = "--items @items";
+    let spin = "--motion @walk.bvh --text 'Spin twice.'";
+    let edit = |more: &str| workshop.typed(&format!("edit @editor {more}"));
+    let refused = |what: &str, table: &str, why: &str| {
+        edit(&format!("{what} --out @refused --text-encoder @{table}")).expect_refused(why);
     };
-    let refused = |what: &[&str], table: &str, why: &str| {
-        edit("refused", what, Some(table)).expect_refused(why);
-    };
-    edit("edits", &items, None).expect_code(0);
-    refused(&spin, "letters.safetensors", "\"Spin twice.\"");
+    edit(&format!("{items} --out @edits")).expect_code(0);
+    refused(spin, "letters.safetensors", "\"Spin twice.\"");
     let vectors = TextTable::with(&workshop, &["Spin twice."]);
     vectors.write("more.safetensors", 1.0).expect_code(0);
-    edit("spun", &spin, Some("more.safetensors")).expect_code(0);
+    let spun = "--out @spun --text-encoder @more.safetensors";
+    edit(&format!("{spin} {spun}")).expect_code(0);
     // Another encoder under the same name is refused.
     vectors.write("other.safetensors", 2.0).expect_code(0);
-    refused(&spin, "other.safetensors", "has another vector for");
-    refused(&items, "other.safetensors", "has another vector for");
+    let differs = "has another vector for";
+    refused(spin, "other.safetensors", differs);
+    refused(items, "other.safetensors", differs);
     // So it is by a run that begins with the weights; without a table that run takes the vectors of the first.
-    let begin = |more: &[&str]| {
-        let start = ["--config", arg(&settings), "--init", arg(&run)];
-        workshop.train_with("motionrefit", "begun", &[&start, more].concat())
-    };
-    let other = workshop.path("other.safetensors");
-    begin(&["--text-encoder", arg(&other)]).expect_refused("has another vector for");
+    let begin = "train motionrefit @dataset --out @begun --config @table.toml --init @editor";
+    let other = format!("{begin} --text-encoder @other.safetensors");
+    workshop.refused(&other, differs);
     assert!(!workshop.path("begun").exists());
-    begin(&["--steps", "2"]).expect_code(0);
+    workshop.run(&format!("{begin} --steps 2"));
 }
 
 /// Writes a DistilBERT of one layer, whose vocabulary is the letters. Its weights depend on `phase`.
@@ -200,26 +181,25 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let workshop = Workshop::open();
     let path = |name: &str| workshop.path(name);
     write_distilbert(&path("package/model"), 0.0);
-    let (package, encoder) = (path("package"), path("encoder"));
-    typed("model encoder --package {} --out {}", &[&package, &encoder]).expect_code(0);
+    workshop.run("model encoder --package @package --out @encoder");
 
-    let small = text_of(path("small.toml"));
-    let train_into = |run: &str, model: &str, settings: &str, told: &[&str]| {
-        let config = path(&format!("{run}.toml"));
-        put(&config, settings);
-        let settings = ["--config", arg(&config), "--steps", "4"];
-        workshop.train_with(model, run, &[&settings, told].concat())
+    let small = workshop.text("small.toml");
+    let train_into = |run: &str, model: &str, settings: &str, told: &str| {
+        workshop.put(&format!("{run}.toml"), settings);
+        let line = format!("train {model} @dataset --out @{run} --config @{run}.toml --steps 4");
+        workshop.typed(&format!("{line} {told}"))
     };
-    let train =
-        |model: &str, settings: &str, told: &[&str]| train_into(model, model, settings, told);
-    let told = ["--text-encoder", arg(&encoder)];
+    let train = |model: &str, settings: &str, told: &str| train_into(model, model, settings, told);
+    let told = "--text-encoder @encoder";
     let editor = format!("text.encoder = \"bert\"\n{small}");
-    train("motionrefit", &editor, &[]).expect_refused("--text-encoder");
+    train("motionrefit", &editor, "").expect_refused("--text-encoder");
     let states = format!("text.vectors = \"states\"\n{editor}");
-    train("motionrefit", &states, &told).expect_refused("one vector for each token");
-    train("motionrefit", &editor, &told).expect_code(0);
+    train("motionrefit", &states, told).expect_refused("one vector for each token");
+    train("motionrefit", &editor, told).expect_code(0);
     let tokens = format!("text.encoder = \"bert\"\n{SMALL_TMED}");
-    train("tmed", &tokens, &told).expect_code(0);
+    train("tmed", &tokens, told).expect_code(0);
+    // A run that begins with the weights takes the vectors of the first, and needs no encoder.
+    train_into("begun", "tmed", &tokens, "--init @tmed").expect_code(0);
 
     let hash = |run: &str| -> String {
         let frozen = frozen(&workshop, run);
@@ -227,30 +207,24 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     };
     // Both hashes are of the same network: one run has a scaled vector for each text, the other one for each token.
     let (pooled, states) = (hash("motionrefit"), hash("tmed"));
-    assert_eq!(
-        pooled.strip_prefix("rms10-"),
-        states.strip_prefix("tokens-")
-    );
+    let network = pooled.strip_prefix("rms10-");
+    assert_eq!(network, states.strip_prefix("tokens-"));
+    assert_eq!(hash("begun"), states);
 
     // Vectors left by a training that failed at its start are not mistaken for those of another encoder.
-    let other = path("other");
-    write_distilbert(&other, 0.5);
+    write_distilbert(&path("other"), 0.5);
     let anew = path("anew");
     fs::create_dir_all(&anew).expect("made");
     let vectors = "embeddings.safetensors";
     fs::copy(path("motionrefit").join(vectors), anew.join(vectors)).expect("copied");
-    let told_other = ["--text-encoder", arg(&other)];
-    train_into("anew", "motionrefit", &editor, &told_other).expect_code(0);
+    let told_other = "--text-encoder @other";
+    train_into("anew", "motionrefit", &editor, told_other).expect_code(0);
     assert_ne!(hash("anew"), pooled);
     assert!(hash("anew").starts_with("rms10-"));
 
     // An instruction that training has not shown needs the encoder.
-    let (run, clip) = (path("motionrefit"), workshop.clip());
-    let edit = |out: &str, told: &[&str]| {
-        let out = path(out);
-        let spin = ["--motion", arg(&clip), "--text", "Spin twice."];
-        typed_with("edit {} --out {}", &[&run, &out], &[&spin, told].concat())
-    };
-    edit("never", &[]).expect_refused("--text-encoder");
-    edit("spun", &told).expect_code(0);
+    let edit = "edit @motionrefit --motion @walk.bvh --text 'Spin twice.' --out";
+    let untold = format!("{edit} @never");
+    workshop.refused(&untold, "--text-encoder");
+    workshop.run(&format!("{edit} @spun {told}"));
 }

@@ -1,7 +1,6 @@
 //! Training, stopping and continuing; editing in every way; export and import of models.
 
-use std::fs;
-use std::io::Write;
+use std::fs::{self, File};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -13,7 +12,7 @@ use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
 use crate::util::{
-    Folder, Ran, arg, assert_has, copy_all, files_with_extension, json_lines, json_of, len_of,
+    Folder, Ran, assert_has, copy_all, files_with_extension, json_lines, json_of, len_of,
     number_of, root_hash_of, stance, typed,
 };
 
@@ -73,13 +72,14 @@ impl Deref for Workshop {
 }
 
 impl Workshop {
-    /// A copy of the shared workshop, without the source of its dataset.
+    /// A copy of the shared workshop, with the clip `walk.bvh` of the source of its dataset.
     pub(crate) fn open() -> Self {
         let shared = Shared::get();
         let folder = Folder::empty();
         for name in ["dataset", "small.toml", "encoder.toml"] {
             copy_all(&shared.workshop.path(name), &folder.path(name));
         }
+        copy_all(&shared.workshop.clip(), &folder.path("walk.bvh"));
         Self {
             folder,
             shared: Some(shared),
@@ -88,9 +88,7 @@ impl Workshop {
 
     /// A workshop whose folder `corpus` holds the source of its dataset.
     pub(crate) fn with_corpus() -> Self {
-        let folder = Folder::of_clips(CLIPS);
-        folder.run("ingest @corpus --out @dataset");
-        folder.run("masks @dataset");
+        let folder = Folder::of_masks(CLIPS);
         folder.put("small.toml", SMALL);
         folder.put("encoder.toml", SMALL_ENCODER);
         let shared = None;
@@ -112,10 +110,6 @@ impl Workshop {
         }
     }
 
-    pub(crate) fn dataset(&self) -> PathBuf {
-        self.path("dataset")
-    }
-
     /// A clip of at least five seconds.
     pub(crate) fn long_clip(&self) -> MotionRow {
         let rows: Vec<MotionRow> = self.rows("dataset");
@@ -125,8 +119,8 @@ impl Workshop {
 
     /// Trains a model for `steps` steps.
     pub(crate) fn train(&self, model: &str, out: &str, steps: &str) -> Ran {
-        let settings = self.path(settings(model));
-        self.train_with(model, out, &["--config", arg(&settings), "--steps", steps])
+        let line = format!("--json train {model} @dataset --out @{out} --steps {steps}");
+        self.typed(&format!("{line} --config @{}", settings(model)))
     }
 
     /// Trains a model with settings of its own, and returns the document.
@@ -136,25 +130,18 @@ impl Workshop {
         self.json(&line)
     }
 
-    /// Trains a model with settings other than the workshop's.
-    pub(crate) fn train_with(&self, model: &str, out: &str, more: &[&str]) -> Ran {
-        let line = format!("--json train {model} @dataset --out @{out}");
-        self.typed_with(&line, more)
-    }
-
     /// The record of a run.
     pub(crate) fn record(&self, run: &str) -> Value {
         json_of(self.path(run).join("config.json"))
     }
 
     pub(crate) fn root_hash(&self) -> String {
-        root_hash_of(&self.dataset())
+        root_hash_of(&self.path("dataset"))
     }
 
-    /// A clip of the corpus as a file.
+    /// A clip of the corpus, of a workshop that has it.
     pub(crate) fn clip(&self) -> PathBuf {
-        let workshop = self.shared.as_ref().map_or(self, |shared| &shared.workshop);
-        files_with_extension(&workshop.path("corpus"), "bvh").remove(0)
+        files_with_extension(&self.path("corpus"), "bvh").remove(0)
     }
 }
 
@@ -173,12 +160,10 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let whole: Value = workshop.train("motionrefit", "whole", steps).done();
     assert_eq!(whole["is_complete"], true);
 
-    let mut child = workshop
-        .command("--json train motionrefit @dataset --out @parts --config @small.toml --steps 300")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("starts");
+    let line = "--json train motionrefit @dataset --out @parts --config @small.toml --steps 300";
+    let mut command = workshop.command(line);
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().expect("starts");
     // Interrupt the training once there is something to save.
     while !workshop.path("parts/checkpoint/last").exists() {
         std::thread::yield_now();
@@ -187,11 +172,9 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
             "training ended before it could be interrupted"
         );
     }
-    let sent = Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
-        .status()
-        .expect("kill runs");
-    assert!(sent.success());
+    let id = child.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &id]).status();
+    assert!(sent.expect("kill runs").success());
     let stopped = Ran::from(child.wait_with_output().expect("ends")).expect_code(130);
     assert_eq!(stopped.json::<Value>()["is_complete"], false);
 
@@ -213,36 +196,38 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
 #[test]
 fn the_released_pose_network_begins_as_pytorchs_layers_do() {
     let workshop = Workshop::open();
-    let settings = ["--preset", "official", "--steps", "6", "--seed", "3"];
-    workshop
-        .train_with("j2s", "poses", &settings)
-        .expect_code(0);
+    let train = "train j2s @dataset --preset official --steps 6 --seed 3";
+    workshop.run(&format!("{train} --out @poses"));
     let metrics = json_lines(&workshop.text("poses/metrics.jsonl"));
-    let losses: Vec<&Value> = metrics
-        .iter()
-        .filter_map(|line| line.get("val_loss"))
-        .collect();
+    let losses = metrics.iter().filter_map(|line| line.get("val_loss"));
+    let losses: Vec<&Value> = losses.collect();
     assert_eq!(losses.len(), 6);
     let is_finite = |loss: &&Value| loss.as_f64().is_some_and(f64::is_finite);
     assert!(losses.iter().all(is_finite), "{losses:?}");
     let weights = tensors(&workshop.path("poses/checkpoint/best/model.safetensors"));
-    let variances: Vec<f32> = weights
+    let running = weights
         .iter()
-        .filter(|(name, _)| name.ends_with("running_var"))
-        .flat_map(|(_, bytes)| bytes.as_chunks::<4>().0)
-        .map(|bytes| f32::from_le_bytes(*bytes))
-        .collect();
+        .filter(|(name, _)| name.ends_with("running_var"));
+    let bytes = running.flat_map(|(_, bytes)| bytes.as_chunks::<4>().0);
+    let variances: Vec<f32> = bytes.map(|bytes| f32::from_le_bytes(*bytes)).collect();
     assert_eq!(variances.len(), 128);
     // The report and the weights beside it are of the best checkpoint, which edits use.
     assert_eq!(tensors(&workshop.path("poses/model.safetensors")), weights);
+    // The record has the intervals of so short a run. A run of an earlier version, which has the preset's, goes on.
+    let mut record = workshop.record("poses");
+    for (interval, of_preset) in [("log_every", 100), ("val_every", 200)] {
+        assert_eq!(record["config"][interval], 1);
+        record["config"][interval] = of_preset.into();
+    }
+    workshop.put("one/config.json", record.to_string());
     // The running statistics of batch normalisation do not depend on the number of threads.
-    let one = [&settings[..], &["--threads", "1"]].concat();
-    workshop.train_with("j2s", "one", &one).expect_code(0);
+    workshop.run(&format!("{train} --out @one --threads 1"));
     let [several, one] = ["poses", "one"].map(|run| {
         let weights = format!("{run}/checkpoint/last/model.safetensors");
         fs::read(workshop.path(&weights)).expect("weights")
     });
     assert!(several == one);
+    assert_eq!(workshop.record("one"), record);
     assert!(variances.iter().all(|&variance| variance > 0.0));
 }
 
@@ -254,10 +239,8 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
     workshop.train("motionrefit", "editor", "2").expect_code(0);
     let compose = "fps = 5.0\nanchor = \"translation\"\nwindow = 10\n";
     workshop.put("compose", compose);
-    let (settings, more) = (
-        format!("window = 10\n{SMALL}"),
-        "--compose @compose --steps 2",
-    );
+    let settings = format!("window = 10\n{SMALL}");
+    let more = "--compose @compose --steps 2";
     workshop.trained("motionrefit", "other", &settings, more);
     assert_eq!(workshop.root_hash(), before);
     for (model, run) in [("tmr", "encoder"), ("motionrefit", "editor")] {
@@ -295,7 +278,7 @@ fn a_run_is_written_by_one_process_and_into_no_dataset() {
         assert_eq!(ran.json::<Value>()["code"], "E-OCCUPIED", "{line}");
     }
     for made in ["config.json", "autoencoder", "triplets"] {
-        assert!(!workshop.dataset().join(made).exists(), "{made}");
+        assert!(!workshop.path("dataset").join(made).exists(), "{made}");
     }
 }
 
@@ -353,6 +336,15 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
             assert!(!workshop.path("none").exists(), "{model} {nothing}");
         }
     }
+    // Settings of a vocabulary are refused where it is that of the first run.
+    for (model, words) in [("motionrefit", "text.words"), ("tmr", "text")] {
+        let settings = workshop.text(settings(model));
+        workshop.put("fewer.toml", format!("{words}.max_words = 3\n{settings}"));
+        let line = format!("train {model} @dataset --config @fewer.toml --out @fewer");
+        let line = format!("{line} --init @{model}");
+        workshop.refused(&line, "keeps the vocabulary of the weights");
+        assert!(!workshop.path("fewer").exists());
+    }
     let poses = "train j2s @dataset --out @poses --preset official --steps";
     workshop.run(&format!("{poses} 4"));
     workshop.run(&format!("{poses} 8 --extend"));
@@ -364,13 +356,11 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "6").expect_code(0);
     workshop.train("coordinator", "guide", "6").expect_code(0);
-    let clip = workshop.clip();
-    let edit = format!("edit @editor --motion {}", clip.display());
+    let edit = "edit @editor --motion @walk.bvh";
     // The last step is the best one, so both checkpoints hold the same averaged weights; `last` also holds the plain ones.
     let [best, last] = ["best", "last"].map(|slot| {
-        workshop.run(&format!(
-            "{edit} --text wave --checkpoint {slot} --out @of-{slot}"
-        ));
+        let line = format!("{edit} --text wave --checkpoint {slot} --out @of-{slot}");
+        workshop.run(&line);
         let row: EditRow = workshop.rows(&format!("of-{slot}")).remove(0);
         (row.checkpoint_hash, row.transl, row.body_pose)
     });
@@ -400,9 +390,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     }
     let line =
         format!("{edit} --text wave --coordinator @guide --coordinator-steps 99 --out @none.npz");
-    workshop
-        .typed(&line)
-        .expect_refused("the coordinator can guide the last 20 steps");
+    workshop.refused(&line, "the coordinator can guide the last 20 steps");
     let outs = magic.map(|(ending, _)| format!(" --out @edit.{ending}"));
     let made: Value = workshop.json(&format!(
         "{edit} --coordinator @guide --coordinator-strength 2.5 --out @table {} \
@@ -439,26 +427,17 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     }
     assert!(!workshop.path("none.bvh").exists());
 
-    check_history(&workshop, &clip, row);
+    check_history(&workshop, row);
 }
 
 /// Checks that a history goes on and back, and names its system as the row of an edit by the guided editor does.
-fn check_history(workshop: &Workshop, clip: &Path, row: &EditRow) {
+fn check_history(workshop: &Workshop, row: &EditRow) {
     let edit = |more: &str, input: &str| -> Ran {
-        let mut child = workshop
-            .command(&format!(
-                "--json edit @editor --history @walk.history.json {more}"
-            ))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("starts");
-        // Drop the pipe at once, so that the child's reading ends.
-        let mut stdin = child.stdin.take().expect("a pipe");
-        stdin.write_all(input.as_bytes()).expect("reads");
-        drop(stdin);
-        child.wait_with_output().expect("ends").into()
+        workshop.put("typed", input);
+        let input = File::open(workshop.path("typed")).expect("written");
+        let line = format!("--json edit @editor --history @walk.history.json {more}");
+        let ran = workshop.command(&line).stdin(input).output();
+        ran.expect("starts").into()
     };
     let counts = |ran: Ran| -> (usize, u64) {
         let document: Value = ran.done();
@@ -466,12 +445,9 @@ fn check_history(workshop: &Workshop, clip: &Path, row: &EditRow) {
         (edits, document["undone"].as_u64().expect("a count"))
     };
     edit("", "").expect_refused("--motion");
-    let begin = format!(
-        "--motion {} --text 'The person is waving.' --text 'The person is nodding.' \
-         --coordinator @guide --coordinator-strength 2.5 --out @kept",
-        clip.display()
-    );
-    assert_eq!(counts(edit(&begin, "")), (2, 0));
+    let begin = "--motion @walk.bvh --text 'The person is waving.' --text 'The person is nodding.' \
+                 --coordinator @guide --coordinator-strength 2.5 --out @kept";
+    assert_eq!(counts(edit(begin, "")), (2, 0));
     assert_eq!(counts(edit("--name ours --out @renamed", "")), (2, 0));
     for (table, name) in [("kept", row.system.as_str()), ("renamed", "ours")] {
         let kept: Vec<EditRow> = workshop.rows(table);
@@ -485,7 +461,7 @@ fn check_history(workshop: &Workshop, clip: &Path, row: &EditRow) {
     assert_ne!(made, len_of(&document["opened"]["transl"]));
     let frames = &document["edits"][1]["instructions"][0]["frames"];
     assert_eq!(*frames, serde_json::json!({ "start": 0, "end": made }));
-    edit(&begin, "").expect_refused("exists");
+    edit(begin, "").expect_refused("exists");
     assert_eq!(counts(edit("--text 'The person is turning.'", "")), (3, 0));
     assert_eq!(counts(edit("--undo", "")), (2, 1));
     assert_eq!(counts(edit("--redo", "")), (3, 0));
@@ -532,31 +508,25 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     assert_eq!(keypoints("editor"), 22);
     assert_eq!(keypoints("whole"), Value::Null);
 
-    let clip = workshop.clip();
     let edit = |coordinator: &str| {
-        let (motion, text) = (clip.display(), "The person is waving.");
-        workshop.typed(&format!(
-            "--json edit @editor --coordinator @{coordinator} --motion {motion} --text '{text}' --out @edit.npz"
-        ))
+        let line = "--json edit @editor --motion @walk.bvh --text wave --out @edit.npz";
+        workshop.typed(&format!("{line} --coordinator @{coordinator}"))
     };
     edit("whole").expect_refused("other keypoints");
     let made: Value = edit("guide").done();
     assert!(number_of(&made["fit_error_m"]).is_finite());
     workshop.put("odd.toml", format!("keypoints = 24\n{SMALL}"));
-    workshop
-        .typed("train motionrefit @dataset --out @odd --config @odd.toml --steps 1")
-        .expect_refused("keypoints");
+    let odd = "train motionrefit @dataset --out @odd --config @odd.toml --steps 1";
+    workshop.refused(odd, "keypoints");
 }
 
 /// The tensors of a safetensors file by name.
 fn tensors(path: &Path) -> Vec<(String, Vec<u8>)> {
     let bytes = fs::read(path).expect("weights");
     let file = safetensors::SafeTensors::deserialize(&bytes).expect("safetensors");
-    let mut tensors: Vec<_> = file
-        .tensors()
-        .into_iter()
-        .map(|(name, tensor)| (name, tensor.data().to_vec()))
-        .collect();
+    let tensors = file.tensors().into_iter();
+    let tensors = tensors.map(|(name, tensor)| (name, tensor.data().to_vec()));
+    let mut tensors: Vec<_> = tensors.collect();
     tensors.sort();
     tensors
 }
@@ -585,11 +555,8 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     };
     import("out/coordinator.safetensors").expect_code(0);
     let [guide, back] = ["guide", "back"].map(|run| {
-        tensors(
-            &workshop
-                .path(run)
-                .join("checkpoint/best/coordinator.safetensors"),
-        )
+        let best = workshop.path(run).join("checkpoint/best");
+        tensors(&best.join("coordinator.safetensors"))
     });
     assert!(guide == back);
     let path = workshop.path("out/coordinator.safetensors");
@@ -606,9 +573,8 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     import("other.safetensors").expect_refused("holds the import of another file");
     for unused in ["--heads 2", "--stats nowhere", "--text-encoder nowhere"] {
         let option = unused.split(' ').next().expect("an option");
-        import(&format!("other.safetensors {unused}")).expect_refused(&format!(
-            "the import of coordinator makes no use of {option}"
-        ));
+        let no_use = format!("the import of coordinator makes no use of {option}");
+        import(&format!("other.safetensors {unused}")).expect_refused(&no_use);
     }
     workshop.put("broken.pth", b"PK\x03\x04 no archive");
     import("broken.pth").expect_refused("broken.pth");

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 
 use datasets_spec::Dataset;
+use datasets_spec::manifest::Manifest;
 use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
@@ -133,7 +134,23 @@ impl Folder {
 
     /// A folder with a small built-in corpus.
     pub(crate) fn of_clips(clips: usize) -> Self {
-        Self(corpus(clips))
+        let folder = Self::empty();
+        folder.run(&format!("corpus --clips {clips} --out @corpus"));
+        folder
+    }
+
+    /// A folder with a small built-in corpus, and the dataset of it.
+    pub(crate) fn of_dataset(clips: usize) -> Self {
+        let folder = Self::of_clips(clips);
+        folder.run("ingest @corpus --out @dataset");
+        folder
+    }
+
+    /// A folder with a small built-in corpus, and the dataset of it with automatic masks.
+    pub(crate) fn of_masks(clips: usize) -> Self {
+        let folder = Self::of_dataset(clips);
+        folder.run("masks @dataset");
+        folder
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
@@ -179,15 +196,52 @@ impl Folder {
         ran.expect("stance starts").into()
     }
 
+    /// Starts a command line, with further arguments appended, whose output nobody reads.
+    pub(crate) fn started(&self, line: &str, more: &[&str]) -> Child {
+        let mut command = self.command(line);
+        command.args(more);
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().expect("stance starts")
+    }
+
     /// Runs a command line that succeeds.
     pub(crate) fn run(&self, line: &str) -> Ran {
         self.typed(line).expect_code(0)
+    }
+
+    /// Runs a command line that exits with 1, with this text on stderr.
+    pub(crate) fn refused(&self, line: &str, text: &str) -> Ran {
+        self.typed(line).expect_refused(text)
+    }
+
+    /// Runs `stance ingest` with this rest of a command line, and returns the document, whose counts add up.
+    pub(crate) fn ingest(&self, line: &str, code: i32) -> Value {
+        let ran = self.typed(&format!("--json ingest {line}"));
+        let done = ran.expect_code(code).json();
+        assert_counted(&done);
+        done
+    }
+
+    /// Does a job in pieces, and returns the document of its commit.
+    pub(crate) fn staged(&self, job: &str) -> Value {
+        self.run(&format!("stage plan {job} --out @plan"));
+        self.run("stage work @plan");
+        self.json("stage commit @plan")
     }
 
     /// The JSON document of a command line that succeeds.
     pub(crate) fn json<T: DeserializeOwned>(&self, line: &str) -> T {
         self.typed(&format!("--json {line}")).done()
     }
+}
+
+/// Kills a process once it has begun. What follows must be the same whether that is before, during or after its work.
+pub(crate) fn kill_once(mut child: Child, has_begun: impl Fn() -> bool) {
+    while !has_begun() && child.try_wait().expect("a child").is_none() {
+        std::thread::yield_now();
+    }
+    child.kill().expect("a child");
+    child.wait().expect("a child");
 }
 
 /// Panics with the whole text unless it contains all of these parts.
@@ -222,6 +276,12 @@ pub(crate) fn word_of(value: &Value) -> &str {
     value.as_str().expect("a text")
 }
 
+/// The texts of a list.
+#[track_caller]
+pub(crate) fn words_of(list: &Value) -> Vec<&str> {
+    list_of(list).iter().map(word_of).collect()
+}
+
 /// The name of a file.
 pub(crate) fn name_of(path: &Path) -> String {
     let name = path.file_name().expect("a name");
@@ -253,6 +313,12 @@ pub(crate) fn copy_all(from: &Path, to: &Path) {
     }
 }
 
+/// Unpacks a tar archive into a folder.
+pub(crate) fn unpack(archive: &Path, into: &Path) {
+    let packed = std::fs::File::open(archive).expect("an archive");
+    tar::Archive::new(packed).unpack(into).expect("unpacked");
+}
+
 /// The text of a file.
 pub(crate) fn text_of(path: impl AsRef<Path>) -> String {
     std::fs::read_to_string(path).expect("text")
@@ -266,9 +332,8 @@ pub(crate) fn json_of<T: DeserializeOwned>(path: impl AsRef<Path>) -> T {
 /// The JSON documents of a text, one a line.
 pub(crate) fn json_lines(text: &str) -> Vec<Value> {
     let lines = text.lines();
-    lines
-        .map(|line| serde_json::from_str(line).expect("JSON"))
-        .collect()
+    let lines = lines.map(|line| serde_json::from_str(line).expect("JSON"));
+    lines.collect()
 }
 
 /// A path as an argument.
@@ -276,26 +341,20 @@ pub(crate) fn arg(path: &Path) -> &str {
     path.to_str().expect("temporary paths are text")
 }
 
-/// A small built-in corpus in a temporary folder.
-pub(crate) fn corpus(clips: usize) -> tempfile::TempDir {
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let out = dir.path().join("corpus");
-    stance(&["corpus", "--clips", &clips.to_string(), "--out", arg(&out)]).expect_code(0);
-    dir
+/// The value of a variable. If it is not set, returns `None` and prints what is skipped.
+pub(crate) fn needed(variable: &str, skipped: &str) -> Option<String> {
+    let value = std::env::var(variable).ok();
+    if value.is_none() {
+        use std::io::Write;
+        let _said = writeln!(std::io::stderr().lock(), "SKIPPED {skipped}");
+    }
+    value
 }
 
 /// The folder of real motion files. If it is not set, returns `None` and prints that the test is skipped.
 pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
-    if folder.is_none() {
-        use std::io::Write;
-        let mut stderr = std::io::stderr().lock();
-        let _said = writeln!(
-            stderr,
-            "SKIPPED {test}: STANCE_TEST_DATA names no folder of real motion"
-        );
-    }
-    folder
+    let skipped = format!("{test}: STANCE_TEST_DATA names no folder of real motion");
+    needed("STANCE_TEST_DATA", &skipped).map(PathBuf::from)
 }
 
 /// The rows of a table of a dataset.
@@ -304,9 +363,14 @@ pub(crate) fn rows_of<R: Row>(dataset: &Path) -> Vec<R> {
     dataset.read(None).expect("rows")
 }
 
-pub(crate) fn root_hash_of(dataset: &Path) -> String {
+/// The manifest of the newest version of a dataset.
+pub(crate) fn manifest_of(dataset: &Path) -> Manifest {
     let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.manifest().root_hash.clone()
+    dataset.manifest().clone()
+}
+
+pub(crate) fn root_hash_of(dataset: &Path) -> String {
+    manifest_of(dataset).root_hash
 }
 
 /// The clips of a dataset by their ids.
@@ -354,9 +418,8 @@ pub(crate) fn assert_quarantined(
     expected: &[(&str, &str)],
 ) -> BTreeMap<String, QuarantineRow> {
     let rows: Vec<QuarantineRow> = rows_of(dataset);
-    let found = rows
-        .iter()
-        .map(|row| (row.path.as_str(), row.code.as_str()));
+    let found = rows.iter();
+    let found = found.map(|row| (row.path.as_str(), row.code.as_str()));
     let [mut found, mut expected]: [Vec<(&str, &str)>; 2] = [found.collect(), expected.to_vec()];
     found.sort_unstable();
     expected.sort_unstable();
@@ -369,14 +432,6 @@ pub(crate) fn assert_quarantined(
 pub(crate) fn skipped_of(dataset: &Path) -> BTreeMap<String, String> {
     let rows = rows_of::<SkippedRow>(dataset).into_iter();
     rows.map(|row| (row.path, row.reason)).collect()
-}
-
-/// Ingests a source, and returns the document, whose counts add up.
-pub(crate) fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
-    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
-    let done = ran.expect_code(code).json();
-    assert_counted(&done);
-    done
 }
 
 /// All files and folders below a folder, with the bytes of files.
@@ -394,27 +449,6 @@ pub(crate) fn everything(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         found.insert(path, bytes);
     }
     found
-}
-
-/// Ingests a source and returns the document of the command.
-#[track_caller]
-pub(crate) fn ingested(source: &Path, out: &Path, more: &[&str]) -> Value {
-    typed_with("--json ingest {} --out {}", &[&source, &out], more).done()
-}
-
-/// A temporary folder with a small built-in corpus, and the dataset of it there.
-pub(crate) fn dataset_of(clips: usize, more: &[&str]) -> (tempfile::TempDir, PathBuf) {
-    let dir = corpus(clips);
-    let dataset = dir.path().join("dataset");
-    ingested(&dir.path().join("corpus"), &dataset, more);
-    (dir, dataset)
-}
-
-/// Exports a folder in a layout and returns the document of the command.
-#[track_caller]
-pub(crate) fn exported(from: &Path, layout: &str, out: &Path, more: &[&str]) -> Value {
-    let line = "--json export {} --to {} --out {}";
-    typed_with(line, &[&from, &layout, &out], more).done()
 }
 
 /// Writes rows into a dataset, in the split that `split` names.
@@ -442,19 +476,5 @@ pub(crate) fn damage(path: &Path) {
 #[track_caller]
 pub(crate) fn texts_in<'a>(list: &'a Value, field: &str) -> Vec<&'a str> {
     let elements = list_of(list).iter();
-    elements
-        .map(|element| element[field].as_str().expect("a text"))
-        .collect()
-}
-
-/// An array as `numpy.save` writes one (version 1.0 of the format).
-pub(crate) fn npy(descr: &str, shape: &str, numbers: &[u8]) -> Vec<u8> {
-    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    // The data begin at a multiple of 64, after a line feed.
-    let len = (bytes.len() + 2 + header.len() + 1).next_multiple_of(64) - bytes.len() - 2;
-    bytes.extend(u16::try_from(len).expect("short").to_le_bytes());
-    bytes.extend(format!("{header:<width$}\n", width = len - 1).bytes());
-    bytes.extend(numbers);
-    bytes
+    elements.map(|element| word_of(&element[field])).collect()
 }

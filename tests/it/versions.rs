@@ -12,8 +12,8 @@ use super::grown::{
     begun_with_half, clips, files, halves, ingest, judge, masks, move_files, ran, verified,
 };
 use super::util::{
-    arg, assert_has, files_with_extension, len_of, put, root_hash_of, rows_of, stance, typed,
-    typed_with,
+    arg, assert_has, commit, files_with_extension, len_of, manifest_of, put, root_hash_of, rows_of,
+    stance, typed, typed_with,
 };
 
 /// Runs a subcommand of `stance dataset` that must succeed, and returns its document.
@@ -69,17 +69,15 @@ fn a_search_for_parquet_files_finds_current_rows_alone_whatever_was_done() {
     done("remove", &dataset, &remove);
     check("remove");
     // Old versions go when asked, and the newest stays as it is.
-    let newest = opened(&dataset).manifest().clone();
+    let newest = manifest_of(&dataset);
     let asked = done("prune", &dataset, &["--keep", "1", "--dry-run"]);
     let pruned = done("prune", &dataset, &["--keep", "1"]);
     assert_eq!(asked["files"], pruned["files"]);
     assert!(pruned["files"].as_u64() > Some(0));
     let before: Vec<u64> = (1..newest.version).collect();
     assert_eq!(pruned["versions"], json!(before));
-    assert_eq!(
-        done("prune", &dataset, &["--keep", "1"])["versions"],
-        json!([])
-    );
+    let again = done("prune", &dataset, &["--keep", "1"]);
+    assert_eq!(again["versions"], json!([]));
     assert_eq!(root_hash_of(&dataset), newest.root_hash);
     check("prune");
     let left = fs::read_dir(dataset.join("meta/aside")).expect("listed");
@@ -135,8 +133,8 @@ fn files_that_a_killed_run_or_an_earlier_build_left_in_place_are_moved_by_the_ne
 
 #[test]
 fn versions_are_listed_with_what_each_changed() {
-    let (_dir, source, more, dataset) = begun_with_half(10);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let (dir, source, more, dataset) = begun_with_half(10);
+    dir.run("masks @dataset");
     move_files(&files(&more)[..2], &source);
     ingest(&[&source], &dataset, &[], 0);
     let list = done("versions", &dataset, &[]);
@@ -150,17 +148,17 @@ fn versions_are_listed_with_what_each_changed() {
     assert!(list[1]["changed"].get("motions").is_none());
     assert_eq!(list[2]["changed"]["motions"], json!([5, 7]));
     assert_eq!(list[2]["root_hash"], root_hash_of(&dataset));
-    let text = stance(&["dataset", "versions", arg(&dataset)]).printed();
+    let text = dir.run("dataset versions @dataset").stdout;
     assert_has(&text, &["* 3", "motions 5 to 7"]);
-    stance(&["dataset", "restore", arg(&dataset), "--to", "9"])
-        .expect_refused("no version 9; there are 1, 2, 3");
+    let said = "no version 9; there are 1, 2, 3";
+    dir.refused("dataset restore @dataset --to 9", said);
 }
 
 #[test]
 fn going_back_keeps_what_people_made_since_and_lists_what_has_no_clip() {
     let (_dir, source, more, dataset) = begun_with_half(16);
     let later = files(&more);
-    let (old, facts) = (clips(&dataset), opened(&dataset).manifest().facts.clone());
+    let (old, facts) = (clips(&dataset), manifest_of(&dataset).facts);
     move_files(&later[..4], &source);
     ingest(&[&source], &dataset, &[], 0);
     let judged = judge(&dataset);
@@ -173,13 +171,13 @@ fn going_back_keeps_what_people_made_since_and_lists_what_has_no_clip() {
     let refused = stance(&restore).refusal();
     assert_has(&refused, &["--drop-labels", leaving[0].motion_id.as_str()]);
     assert_eq!(root_hash_of(&dataset), root_hash);
-    let newest = opened(&dataset).manifest().version;
+    let newest = manifest_of(&dataset).version;
     let back = done("restore", &dataset, &["--to", "1", "--drop-labels"]);
     assert_eq!(len_of(&back["kept"]), staying.len());
     assert_eq!(len_of(&back["lost"]), leaving.len());
     assert_eq!(back["version"], newest + 1);
     assert_eq!(clips(&dataset), old);
-    assert_eq!(opened(&dataset).manifest().facts, facts);
+    assert_eq!(manifest_of(&dataset).facts, facts);
     let kept = masks(&dataset);
     assert_eq!(kept.len(), staying.len());
     assert!(staying.iter().all(|mask| kept[&mask.id] == **mask));
@@ -200,8 +198,8 @@ fn going_back_keeps_what_people_made_since_and_lists_what_has_no_clip() {
 
 #[test]
 fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
-    let (dir, source, more) = halves(24);
-    let (dataset, triplets) = (dir.path().join("dataset"), dir.path().join("triplets"));
+    let (dir, source, more, dataset) = halves(24);
+    let triplets = dir.path("triplets");
     let grow = || ingest(&[&source], &dataset, &["--features", "humanml3d"], 0);
     grow();
     for file in files(&more) {
@@ -210,8 +208,8 @@ fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
     }
     let judged = judge(&dataset);
     let record = || {
-        typed("triplets {} --count 8 --out {}", &[&dataset, &triplets]).expect_code(0);
-        opened(&triplets).manifest().clone()
+        dir.run("triplets @dataset --count 8 --out @triplets");
+        manifest_of(&triplets)
     };
     let recorded = record();
     let motions = || {
@@ -259,12 +257,13 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     stance(&["pairs", arg(&dataset)]).expect_code(0);
     let judged = judge(&dataset);
     let pairs: Vec<PairRow> = rows_of(&dataset);
-    let part = dir.path().join("part");
-    let select = |condition: &str, out: &Path| {
-        let line = "--json dataset select {} --where {} --out {}";
-        typed(line, &[&dataset, &condition, &out])
+    let part = dir.path("part");
+    let select = |condition: &str, out: &str| {
+        dir.typed(&format!(
+            "--json dataset select @dataset --where \"{condition}\" --out @{out}"
+        ))
     };
-    let selected: Value = select("split = 'train' and n_frames > 1", &part).done();
+    let selected: Value = select("split = 'train' and n_frames > 1", "part").done();
     let mut expected = clips(&dataset);
     expected.retain(|_, (split, _)| *split == Split::Train);
     assert_eq!(clips(&part), expected);
@@ -280,7 +279,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     assert_eq!(rows_of::<PairRow>(&part).len(), num_whole);
     only_current_rows_are_found(&part, "select");
     // Every source is accounted for, and the selection records its origin.
-    let manifest = opened(&part).manifest().clone();
+    let manifest = manifest_of(&part);
     assert!(manifest.accounting.balances());
     let skipped = rows_of::<SkippedRow>(&part).len() as u64;
     assert_eq!(manifest.accounting.skipped, skipped);
@@ -293,14 +292,13 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     // If only one side of a pair is selected, the pair is listed.
     if let Some(pair) = pairs.first() {
         let condition = format!("id = '{}'", pair.source_id);
-        let one: Value = select(&condition, &dir.path().join("one")).done();
+        let one: Value = select(&condition, "one").done();
         let parted = one["parted_pairs"].as_array().expect("a list");
         assert!(parted.contains(&json!(pair.id)), "{one}");
     }
-    let none = dir.path().join("none");
-    select("n_frames > 1000000", &none).expect_refused("no clip of");
-    assert!(!none.exists());
-    select("n_frames > 1", &part).expect_refused("is a dataset already");
+    select("n_frames > 1000000", "none").expect_refused("no clip of");
+    assert!(!dir.path("none").exists());
+    select("n_frames > 1", "part").expect_refused("is a dataset already");
 }
 
 #[test]
@@ -311,16 +309,14 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     let root_hash = root_hash_of(&dataset);
     let mask = judged.values().next().expect("a mask");
     let labelled = mask.motion_id.to_string();
-    let list = dir.path().join("ids.txt");
+    let list = dir.path("ids.txt");
     put(&list, format!("{labelled}\n\n"));
     let remove = ["dataset", "remove", arg(&dataset), "--ids", arg(&list)];
     let refused = stance(&remove).refusal();
     assert_has(&refused, &["--drop-labels", &labelled]);
     let asked = done("remove", &dataset, &["--ids", arg(&list), "--dry-run"]);
-    let of_clip = judged
-        .values()
-        .filter(|mask| mask.motion_id.as_str() == labelled);
-    let lost = of_clip.count();
+    let is_lost = |mask: &&MaskRow| mask.motion_id.as_str() == labelled;
+    let lost = judged.values().filter(is_lost).count();
     assert_eq!(len_of(&asked["lost"]), lost);
     assert_eq!(root_hash_of(&dataset), root_hash);
     let allowed = ["--ids", arg(&list), "--drop-labels"];
@@ -331,7 +327,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     assert_eq!(clips(&dataset), expected);
     assert_eq!(masks(&dataset).len(), judged.len() - lost);
     only_current_rows_are_found(&dataset, "remove");
-    let manifest = opened(&dataset).manifest().clone();
+    let manifest = manifest_of(&dataset);
     assert!(manifest.accounting.balances());
     // Growing the dataset leaves the clip out, and counts it as skipped.
     move_files(&files(&more)[..2], &source);
@@ -358,53 +354,41 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
 
 #[test]
 fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
-    let (dir, source, _) = halves(12);
-    let [a, b, out] = ["a", "b", "both"].map(|name| dir.path().join(name));
+    let (dir, source, ..) = halves(12);
+    let [a, b, out] = ["a", "b", "both"].map(|name| dir.path(name));
     ingest(&[&source], &a, &[], 0);
     ingest(&[&source], &b, &["--fps", "30"], 0);
-    let refused = typed("dataset merge {} {} --out {}", &[&a, &b, &out]).refusal();
+    let refused = dir.typed("dataset merge @a @b --out @both").refusal();
     assert_has(&refused, &["fps is 20 in", "and 30 in"]);
     assert!(!out.exists());
     // A dataset with two rates, as an earlier build merged it.
     let others: Vec<MotionRow> = rows_of(&b);
-    rewrite(&a, |row| {
+    rewrite(&a, "mixed", |row| {
         if let Some(other) = others.first().filter(|other| other.id == row.id) {
             let split = row.split;
             *row = other.clone();
             row.split = split;
         }
     });
-    let found = stance(&["verify", arg(&a)]).expect_code(1).stdout;
-    assert_has(&found, &["is stored at 30 fps, and the dataset at 20"]);
+    let found = dir.typed("verify @a").expect_code(1);
+    found.expect_printed("is stored at 30 fps, and the dataset at 20");
 }
 
 /// Changes the motions of a dataset, as another version of the reader would.
-fn rewrite(dataset: &Path, change: impl Fn(&mut MotionRow)) {
-    let opened = opened(dataset);
-    let mut rows: Vec<MotionRow> = opened.read(None).expect("rows");
+fn rewrite(dataset: &Path, plan: &str, change: impl Fn(&mut MotionRow)) {
+    let mut rows: Vec<MotionRow> = rows_of(dataset);
     rows.iter_mut().for_each(change);
-    let transaction = datasets_spec::Transaction::begin(dataset, "test").expect("locks");
-    let split: fn(&MotionRow) -> Split = |row| row.split;
-    let skeleton = opened.skeleton().expect("known");
-    let files = transaction.write_rows(&rows, Some(split), &skeleton, "test");
-    transaction
-        .commit(datasets_spec::dataset::Commit {
-            tables: BTreeMap::from([("motions".to_owned(), files.expect("written"))]),
-            plan_hash: "test".to_owned(),
-            skeleton,
-            ..Default::default()
-        })
-        .expect("committed");
+    commit(dataset, &rows, |row| row.split, plan);
 }
 
 #[test]
 fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
-    let (dir, source, _) = halves(40);
-    let [a, b, out] = ["a", "b", "both"].map(|name| dir.path().join(name));
+    let (dir, source, ..) = halves(40);
+    let [a, b, out] = ["a", "b", "both"].map(|name| dir.path(name));
     ingest(&[&source], &a, &[], 0);
     ingest(&[&source], &b, &["--seed", "3"], 0);
     // The same files with shorter motions, so that no motion resembles one of the other dataset.
-    rewrite(&b, |row| {
+    rewrite(&b, "shorter", |row| {
         let motion = row.motion().expect("a motion");
         let motion = motion.crop(0..motion.len() - 8).expect("frames");
         let shorter = MotionRow::new(row.id.clone(), row.split, &motion);
@@ -417,7 +401,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     let parted = of_b.iter().filter(|(id, (split, _))| of_a[*id].0 != *split);
     let parted = parted.count();
     assert!(parted > 0, "the seeds part some files");
-    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out]).done();
+    let merged: Value = dir.json("dataset merge @a @b --out @both");
     let mut by_file: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
     for row in rows_of::<MotionRow>(&out) {
         let splits = by_file.entry(row.source_hash).or_default();
@@ -430,7 +414,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     verified(&out);
     // `verify` fails if clips of one file are in different splits.
     let moved = moved.keys().next().expect("one").as_str();
-    rewrite(&out, |row| {
+    rewrite(&out, "parted", |row| {
         if row.id.as_str() == moved {
             row.split = match row.split {
                 Split::Train => Split::Test,
@@ -438,7 +422,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
             };
         }
     });
-    let found = stance(&["verify", arg(&out)]).expect_code(1).stdout;
-    assert_has(&found, &["whose file has the same content", moved]);
-    assert_has(&found, &["ingest --splits FILE --new-version"]);
+    let found = dir.typed("verify @both").expect_code(1).stdout;
+    let advice = "ingest --splits FILE --new-version";
+    assert_has(&found, &["whose file has the same content", moved, advice]);
 }

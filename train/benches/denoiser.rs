@@ -14,7 +14,7 @@ use divan::counter::ItemsCount;
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use train::config::{NetworkConfig, Prediction, Preset, ScheduleName, TrainConfig};
-use train::data::{NoisyBatch, TextBatch};
+use train::data::TextBatch;
 use train::diffusion::Objective;
 use train::features::FeatureRecipe;
 use train::mdm::{MdmConfig, masked_l2};
@@ -27,6 +27,7 @@ use train::model::weights::draw;
 use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
+use train::throughput::noisy_batch;
 use train::tmed::features::NUM_FEATURES;
 use train::tmed::{ClipBatch, TmedConfig, loss};
 
@@ -62,29 +63,6 @@ fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
     Tensor::random(shape, Distribution::Normal(0.0, 1.0), device)
 }
 
-fn noisy_batch(device: &Device) -> NoisyBatch {
-    let values = || {
-        normal([BATCH, WINDOW_FRAMES * FRAME_WIDTH], device)
-            .into_data()
-            .try_into_vec_as()
-            .expect("floats")
-    };
-    NoisyBatch {
-        original: values(),
-        edited: values(),
-        noise: values(),
-        timesteps: (0..BATCH).collect(),
-        progress: vec![0.5; BATCH],
-        // The loss is given the text vectors directly.
-        texts: TextBatch::Vectors {
-            values: Vec::new(),
-            lengths: Vec::new(),
-        },
-        text_kept: vec![1.0; BATCH],
-        is_start: vec![false; BATCH],
-    }
-}
-
 /// Forward, loss, backward and AdamW of 64 windows.
 #[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
 fn training_step(bencher: Bencher, dropout: f64) {
@@ -99,7 +77,7 @@ fn training_step_without_kernels(bencher: Bencher) {
 
 fn step(bencher: Bencher, dropout: f64, arithmetic: Arithmetic) {
     let device = Device::flex().autodiff();
-    let batch = noisy_batch(&Device::flex());
+    let batch = noisy_batch(BATCH);
     let diffusion = TrainConfig::preset(Preset::Paper).diffusion;
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
     let text = normal([BATCH, 512], &device);

@@ -236,30 +236,19 @@ pub fn candidates(
 
 impl std::ops::AddAssign for VariantCounts {
     fn add_assign(&mut self, other: Self) {
-        let Self {
-            bases,
-            variants,
-            unpaired,
-            broken,
-            lengths,
-            identical,
-            different,
-            sliding,
-            drifting,
-            floating,
-            kept,
-        } = self;
-        *bases += other.bases;
-        *variants += other.variants;
-        *unpaired += other.unpaired;
-        *broken += other.broken;
-        *lengths += other.lengths;
-        *identical += other.identical;
-        *different += other.different;
-        *sliding += other.sliding;
-        *drifting += other.drifting;
-        *floating += other.floating;
-        *kept += other.kept;
+        *self = Self {
+            bases: self.bases + other.bases,
+            variants: self.variants + other.variants,
+            unpaired: self.unpaired + other.unpaired,
+            broken: self.broken + other.broken,
+            lengths: self.lengths + other.lengths,
+            identical: self.identical + other.identical,
+            different: self.different + other.different,
+            sliding: self.sliding + other.sliding,
+            drifting: self.drifting + other.drifting,
+            floating: self.floating + other.floating,
+            kept: self.kept + other.kept,
+        };
     }
 }
 

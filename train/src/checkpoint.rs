@@ -342,29 +342,22 @@ impl Run {
 
     /// Drops the lines of the metrics file, and the events, after `step`: a continued run writes them again.
     pub(crate) fn rewind_log(&self, step: u64) -> Result<(), Error> {
-        #[derive(Deserialize)]
-        struct Step {
-            step: u64,
-        }
         let path = self.dir.join(METRICS);
         let Some(text) = text_of(&path)? else {
             return Ok(());
         };
-        let kept: String = text
-            .lines()
-            .filter(|line| {
-                // A line cut short by a crash does not parse, and is dropped as well.
-                serde_json::from_str::<Step>(line).is_ok_and(|line| line.step <= step)
-            })
-            .flat_map(|line| [line, "\n"])
-            .collect();
+        let (mut kept, mut records) = (String::new(), events::head());
+        for line in text.lines() {
+            // A line cut short by a crash does not parse, and is dropped as well.
+            let value: Value = serde_json::from_str(line).unwrap_or_default();
+            if value["step"].as_u64().is_some_and(|made| made <= step) {
+                kept += line;
+                kept.push('\n');
+                records.extend(events::of_line(&value));
+            }
+        }
         write_atomically(&path, kept.as_bytes())?;
-        let lines = kept
-            .lines()
-            .filter_map(|line| serde_json::from_str(line).ok());
-        let records = lines.map(|line: Value| events::of_line(&line));
-        let records: Vec<Vec<u8>> = std::iter::once(events::head()).chain(records).collect();
-        write_atomically(&self.dir.join(EVENTS), &records.concat())
+        write_atomically(&self.dir.join(EVENTS), &records)
     }
 }
 
@@ -507,7 +500,8 @@ fn slots_of(run_dir: &Path) -> Vec<String> {
     let names = entries.into_iter().flatten().flatten();
     let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
     let mut names: Vec<String> = names.filter(|name| name.parse::<Slot>().is_ok()).collect();
-    names.sort();
+    // Shorter names first, so that epochs stand in the order of their numbers.
+    names.sort_by_key(|name| (name.len(), name.clone()));
     names
 }
 

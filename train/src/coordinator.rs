@@ -231,6 +231,7 @@ pub fn train_coordinator<'a>(
         seed: seed.derive(&["val"]),
         ..sampler
     };
+    let training = |first, count| sampler.draw(first, count);
     let validation = |first, count| val_sampler.draw(first, count);
     let task = Task::<Coordinator, SegmentBatch> {
         kind: KIND,
@@ -238,10 +239,8 @@ pub fn train_coordinator<'a>(
         run: config.run,
         of_thread: Some(16),
         epoch_len: segments.train.epoch_len(),
-        draw: &|step, micro| {
-            let run = &config.run;
-            run.batches(step, micro, |first, count| sampler.draw(first, count))
-        },
+        network: &|device| Coordinator::new(&config.model, 3 * config.keypoints, device),
+        draw: &config.run.batches(training),
         loss: &|model, batch, device, pass| {
             let rows = batch.timesteps.len();
             let shape = [rows, config.window, 3 * config.keypoints];
@@ -251,8 +250,7 @@ pub fn train_coordinator<'a>(
         },
         validation: config.run.validation(config.val_windows, validation)?,
     };
-    let network = |device: &Device| Coordinator::new(&config.model, 3 * config.keypoints, device);
-    Ok(train(&task, network, &run, session)?.1)
+    train(&task, &run, session)
 }
 
 /// Noisy windows, their diffusion steps, and whether they were composed.

@@ -229,11 +229,8 @@ impl WindowSampler<'_> {
                 let item = first + index as u64;
                 let mut rng = self.seed.rng(&["window", &item.to_string()]);
                 let timestep = self.timesteps.of(item, self.num_timesteps, &mut rng);
-                let text_kept = if rng.random_bool(self.text_dropout) {
-                    0.0
-                } else {
-                    1.0
-                };
+                let is_dropped = rng.random_bool(self.text_dropout);
+                let text_kept = if is_dropped { 0.0 } else { 1.0 };
                 // If `generated_starts` is 0, no number is drawn, so that earlier runs stay reproducible.
                 let is_start =
                     self.generated_starts > 0.0 && rng.random_bool(self.generated_starts);

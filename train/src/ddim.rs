@@ -60,8 +60,7 @@ impl Ddim {
         x0.mul_scalar(next.sqrt()) + eps.mul_scalar((1.0 - next).sqrt())
     }
 
-    /// Samples from noise. `predict` returns the noise of a sample at a step, including guidance; `on_step` is given
-    /// each result.
+    /// Samples from noise. `predict` returns the noise of a sample at a step, including guidance.
     ///
     /// # Errors
     /// Whatever `predict` returns.
@@ -69,13 +68,11 @@ impl Ddim {
         &self,
         noise: Tensor<D>,
         mut predict: impl FnMut(&Tensor<D>, usize) -> Result<Tensor<D>, Error>,
-        mut on_step: impl FnMut(&Tensor<D>),
     ) -> Result<Tensor<D>, Error> {
         let mut x = noise;
         for &timestep in &self.timesteps {
             let eps = predict(&x, timestep)?;
             x = self.step(x, eps, timestep);
-            on_step(&x);
         }
         Ok(x)
     }

@@ -32,36 +32,18 @@ pub enum DeviceName {
     WgpuKind(Adapter),
 }
 
-/// A kind of card that wgpu knows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Adapter {
-    /// A card with its own memory.
-    Discrete,
-    /// A card that shares the memory of the processor.
-    Integrated,
-    /// A virtualised card in a virtual machine.
-    Virtual,
-    /// A driver that computes on the processor. It is slow, and serves for testing.
-    Software,
-}
-
-impl Adapter {
-    /// All kinds, in the order in which `wgpu` searches.
-    pub const ALL: [Self; 4] = [
-        Self::Discrete,
-        Self::Integrated,
-        Self::Virtual,
-        Self::Software,
-    ];
-
-    /// Name of the kind on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Discrete => "discrete",
-            Self::Integrated => "integrated",
-            Self::Virtual => "virtual",
-            Self::Software => "software",
-        }
+datasets_spec::named! {
+    /// A kind of card that wgpu knows, with its name on the command line. `wgpu` searches in this order.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Adapter, named by name {
+        /// A card with its own memory.
+        Discrete = "discrete",
+        /// A card that shares the memory of the processor.
+        Integrated = "integrated",
+        /// A virtualised card in a virtual machine.
+        Virtual = "virtual",
+        /// A driver that computes on the processor. It is slow, and serves for testing.
+        Software = "software",
     }
 }
 
@@ -72,7 +54,7 @@ impl fmt::Display for DeviceName {
             Self::Ndarray => f.write_str("ndarray"),
             Self::Cuda => f.write_str("cuda"),
             Self::Wgpu => f.write_str("wgpu"),
-            Self::WgpuKind(adapter) => write!(f, "wgpu:{}", adapter.name()),
+            Self::WgpuKind(adapter) => write!(f, "wgpu:{adapter}"),
         }
     }
 }
@@ -543,12 +525,7 @@ mod tests {
         };
         let verdict = |found: &[f32]| Products::of(found, &a, &b, inner);
         assert_eq!(verdict(&product(&|x| x)), Ok(Products::Single));
-        for bits in [13, 16] {
-            let kind = if bits == 13 {
-                Products::Tf32
-            } else {
-                Products::Bf16
-            };
+        for (bits, kind) in [(13, Products::Tf32), (16, Products::Bf16)] {
             assert_eq!(verdict(&product(&cut(bits))), Ok(kind));
             assert_eq!(verdict(&product(&nearest(bits))), Ok(kind));
         }

@@ -15,15 +15,14 @@ use crate::checkpoint::Slot;
 use crate::config::{GuidanceConfig, Preset, TrainConfig, ensure};
 use crate::coordinator::TrainedCoordinator;
 use crate::error::motion_error;
-use crate::j2s::{PoseNet, Refinement, solve};
+use crate::j2s::PoseNet;
 use crate::kind::Editing;
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
-use crate::system::Setting::{self, Count, Flag, Number};
 use crate::system::{
     EditConfig, EditInput, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
-    named_with,
+    changed, named_with,
 };
 use crate::text::clip::ClipModel;
 use crate::{Error, Session};
@@ -152,12 +151,12 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     if editor.has_coordinator() {
         name += " + coordinator";
     }
-    named_with(name, slot, &changes(editor, settings))
+    named_with(name, slot, changes(editor, settings))
 }
 
-/// The edit's settings, each with its usual value. Usual values are those of the preset with the editor's network, or
-/// those of the editor's training if no preset has this network.
-fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
+/// The edit's settings that are not as usual. Usual values are those of the preset with the editor's network, or those
+/// of the editor's training if no preset has this network.
+fn changes(editor: &Editor, settings: &EditSettings) -> Vec<Option<String>> {
     let trained = &editor.record().config.train;
     let usual = Preset::ALL
         .map(TrainConfig::preset)
@@ -166,35 +165,27 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
     let usual = usual.as_ref().unwrap_or(trained);
     let diffusion = &usual.diffusion;
     let mut changes = vec![
-        ("guidance", Number(settings.guidance, diffusion.guidance)),
-        (
-            "temperature",
-            Number(settings.temperature, diffusion.temperature),
-        ),
+        changed("guidance", settings.guidance, diffusion.guidance),
+        changed("temperature", settings.temperature, diffusion.temperature),
     ];
     if editor.has_coordinator() {
         let (used, usual) = (settings.coordinator, usual.coordinator);
         changes.extend([
-            (
-                "coordinator strength",
-                Number(used.strength, usual.strength),
-            ),
-            ("coordinator steps", Count(used.num_steps, usual.num_steps)),
+            changed("coordinator strength", used.strength, usual.strength),
+            changed("coordinator steps", used.num_steps, usual.num_steps),
         ]);
     }
+    let flag = |what: &str, is_on: bool| is_on.then(|| what.to_owned());
     changes.extend([
-        ("paper's fit", Flag(settings.fit == FitMethod::Paper)),
-        ("twists of the source", Flag(!editor.has_poses())),
-        ("prior", Number(settings.prior, usual_prior(editor))),
+        flag("paper's fit", settings.fit == FitMethod::Paper),
+        flag("twists of the source", editor.poses().is_none()),
+        changed("prior", settings.prior, usual_prior(editor)),
     ]);
     changes
 }
 
 fn usual_prior(editor: &Editor) -> f64 {
-    match editor.has_poses() {
-        true => NETWORK_PRIOR,
-        false => 0.0,
-    }
+    editor.poses().map_or(0.0, |_| NETWORK_PRIOR)
 }
 
 /// Settings of an editor as rows of edits record them. Settings that do not change the result, such as the batch size,
@@ -207,7 +198,7 @@ fn settings_document(editor: &Editor, slot: Slot, settings: &EditSettings) -> se
         "guidance": settings.guidance,
         "temperature": settings.temperature,
         "prior": settings.prior,
-        "poses": editor.has_poses(),
+        "poses": editor.poses().is_some(),
         "coordinator": coordinator,
         "fit": settings.fit,
         "window": record.train.window,
@@ -236,8 +227,7 @@ impl EditSystem for MotionRefitSystem {
         };
         Remarks {
             num_short: motions.iter().filter(is_short).count(),
-            num_cut: record.text.num_cut(texts),
-            unknown_words: record.text.unknown_words(texts),
+            ..Remarks::of_texts(&record.text, texts)
         }
     }
 
@@ -377,8 +367,7 @@ impl<'a> Fit<'a> {
         }
         let failed = motion_error(&item.id);
         if let (FitMethod::Paper, Some((net, device))) = (self.method, self.poses) {
-            let refinement = Refinement::Adam(net.preset().fit());
-            let poses = solve(net, &refinement, &frames, skeleton, device);
+            let poses = net.refined(&frames, skeleton, device);
             let motion = Motion::from_poses(item.fps, &poses).map_err(failed)?;
             let errors: Vec<f64> = skeleton
                 .points_of_poses::<NUM_KEYPOINTS>(&poses)

@@ -394,6 +394,7 @@ pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
 /// released network lacks, or a file cannot be written.
 pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let kind = checkpoint::read_kind(run_dir)?;
+    let mut foreign = Vec::new();
     let (mut files, name, model, normalizer) = if kind == coordinator::KIND {
         let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
         let CoordinatorRecord {
@@ -406,11 +407,12 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
             train, normalizer, ..
         } = opened.record.config;
         if train.diffusion.tell_frames {
-            return Err(foreign("tell_frames is set", "tell_frames = false"));
+            foreign.push(["tell_frames", "tell_frames = false"]);
         }
         (opened.files, Denoiser::FILE, train.model, normalizer)
     };
-    let bytes = with_tables(&take(&mut files, name, run_dir)?, model.width, run_dir)?;
+    let bytes = take(&mut files, name, run_dir)?;
+    let bytes = with_tables(&bytes, model.width, foreign, run_dir)?;
     std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
     let weights = out.join(name);
     write_atomically(&weights, &bytes)?;
@@ -420,15 +422,14 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
     Ok(vec![weights, range])
 }
 
-/// Error about a model that the released program could load only in part.
-fn foreign(found: &str, instead: &str) -> Error {
-    Error::misfit(
-        "the model",
-        format!("{found}, which the released network lacks; train one with {instead}"),
-    )
-}
-
-fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error> {
+/// The released form of a network. `foreign` is what its settings have beyond the released network, and what to train
+/// with instead: the released program could load such a model only in part. Layers are added to it.
+fn with_tables(
+    bytes: &[u8],
+    width: usize,
+    mut foreign: Vec<[&str; 2]>,
+    path: &Path,
+) -> Result<Vec<u8>, Error> {
     let weights = |problem: safetensors::SafeTensorError| Error::weights(path, problem);
     let file = SafeTensors::deserialize(bytes).map_err(weights)?;
     for (layers, instead) in [
@@ -437,8 +438,18 @@ fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error
         ("gate", "another prediction than \"gated\""),
     ] {
         if file.names().iter().any(|name| name.starts_with(layers)) {
-            return Err(foreign(&format!("it has layers {layers}"), instead));
+            foreign.push([layers, instead]);
         }
+    }
+    if !foreign.is_empty() {
+        let [found, instead] = [0, 1].map(|side: usize| {
+            let names: Vec<&str> = foreign.iter().map(|names| names[side]).collect();
+            names.join(" and ")
+        });
+        return Err(Error::misfit(
+            "the model",
+            format!("it has {found}, which the released network lacks; train one with {instead}"),
+        ));
     }
     let rows: Vec<usize> = (0..TABLE_ROWS).collect();
     let table: Vec<u8> = sinusoid_values(&rows, width)

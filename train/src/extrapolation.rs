@@ -68,11 +68,9 @@ impl Extrapolation {
         let mut spreads = Vec::with_capacity(window);
         for (frame, row) in moments.iter().enumerate() {
             if frame < FIXED_FRAMES {
-                gains.push(std::array::from_fn(
-                    |fixed| {
-                        if fixed == frame { 1.0 } else { 0.0 }
-                    },
-                ));
+                let mut own = [0.0; FIXED_FRAMES];
+                own[frame] = 1.0;
+                gains.push(own);
                 spreads.push(LEAST_SPREAD as f32);
                 continue;
             }

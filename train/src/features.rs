@@ -49,17 +49,19 @@ pub fn smpl135(poses: &[Pose]) -> Vec<FeatureFrame> {
         .collect()
 }
 
-/// Motion features of an encoder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum FeatureRecipe {
-    /// [`smpl135`] of segments rotated to face +z, y up, at 20 fps.
-    Smpl135,
-    /// The 263 HumanML3D features at 20 fps, of the whole clip: the input of the released TMR. They use HumanML3D's own
-    /// skeleton, so they do not depend on the body of a motion.
-    HumanMl3d,
-    /// As [`FeatureRecipe::Smpl135`], but z up and at 30 fps: the input of MotionFix's released evaluator.
-    MotionFix,
+datasets_spec::named! {
+    /// Motion features of an encoder, with their name as recorded with normalised data.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum FeatureRecipe, named by name {
+        /// [`smpl135`] of segments rotated to face +z, y up, at 20 fps.
+        Smpl135 = "smpl135",
+        /// The 263 HumanML3D features at 20 fps, of the whole clip: the input of the released TMR. They use HumanML3D's
+        /// own skeleton, so they do not depend on the body of a motion.
+        HumanMl3d = "humanml3d",
+        /// As [`FeatureRecipe::Smpl135`], but z up and at 30 fps: the input of MotionFix's released evaluator.
+        MotionFix = "motionfix",
+    }
 }
 
 impl FeatureRecipe {
@@ -76,15 +78,6 @@ impl FeatureRecipe {
         match self {
             Self::Smpl135 | Self::HumanMl3d => Fps::STORE,
             Self::MotionFix => Fps::new(30.0).expect("a rate"),
-        }
-    }
-
-    /// The recipe's name, as recorded with normalised data.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Smpl135 => "smpl135",
-            Self::HumanMl3d => "humanml3d",
-            Self::MotionFix => "motionfix",
         }
     }
 

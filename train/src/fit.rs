@@ -1,7 +1,5 @@
 //! Training of the editor.
 
-use std::collections::BTreeSet;
-
 use burn::tensor::Device;
 use datasets_spec::{Seed, Skeleton};
 use kinematics::normalise::Normalizer;
@@ -123,31 +121,30 @@ impl TextRecord {
     /// words of `texts`, or the encoder of `vectors`.
     pub(crate) fn chosen<'a>(
         config: &TextConfig,
-        known: Option<Self>,
+        (start, known): (Start<'_>, Option<Self>),
         texts: impl IntoIterator<Item = &'a str>,
         vectors: Option<&EmbeddingTable>,
     ) -> Result<Self, Error> {
-        match (config.encoder, known) {
-            (TextEncoder::Learned, Some(text @ Self::Learned(_)))
-            | (
-                TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table,
-                Some(text @ Self::Frozen { .. }),
-            ) => Ok(text),
-            (_, Some(_)) => Err(Error::config(
-                "text.encoder",
+        let misfit = |problem| Error::config("text.encoder", problem);
+        let is_learned = config.encoder == TextEncoder::Learned;
+        match known {
+            Some(text) if matches!(text, Self::Learned(_)) == is_learned => {
+                if let Self::Learned(vocabulary) = &text {
+                    vocabulary.check_kept("text.words", &config.words, start)?;
+                }
+                Ok(text)
+            }
+            Some(_) => Err(misfit(
                 "it is not that of the run whose weights are to be taken over",
             )),
-            (TextEncoder::Learned, None) => Ok(Self::Learned(Vocabulary::build(
-                texts,
-                config.words.num_buckets,
-                config.words.max_words,
-            )?)),
-            (TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table, None) => {
+            None if is_learned => {
+                let words = &config.words;
+                let vocabulary = Vocabulary::build(texts, words.num_buckets, words.max_words)?;
+                Ok(Self::Learned(vocabulary))
+            }
+            None => {
                 let vectors = vectors.ok_or_else(|| {
-                    Error::config(
-                        "text.encoder",
-                        "it is a frozen one; name it with --text-encoder, or set it to learned",
-                    )
+                    misfit("it is a frozen one; name it with --text-encoder, or set it to learned")
                 })?;
                 Ok(Self::Frozen {
                     encoder_hash: vectors.encoder().to_owned(),
@@ -169,27 +166,6 @@ impl TextRecord {
         match self {
             Self::Learned(vocabulary) => TextSource::Learned(vocabulary.num_tokens()),
             Self::Frozen { width, .. } => TextSource::Frozen(*width),
-        }
-    }
-
-    /// Words of texts that are not in the learned encoder's vocabulary; none for a frozen encoder.
-    pub(crate) fn unknown_words(&self, texts: &[&str]) -> BTreeSet<String> {
-        match self {
-            Self::Learned(vocabulary) => {
-                let texts = texts.iter();
-                texts
-                    .flat_map(|text| vocabulary.unknown_words(text))
-                    .collect()
-            }
-            Self::Frozen { .. } => BTreeSet::new(),
-        }
-    }
-
-    /// Number of texts whose last words the learned encoder does not read; 0 for a frozen encoder.
-    pub(crate) fn num_cut(&self, texts: &[&str]) -> usize {
-        match self {
-            Self::Learned(vocabulary) => texts.iter().filter(|text| vocabulary.cuts(text)).count(),
-            Self::Frozen { .. } => 0,
         }
     }
 
@@ -246,7 +222,8 @@ pub fn train_motionrefit<'a>(
         .map(|known| (known.text, known.extrapolation))
         .unzip();
     let instructions = corpus.instructions.iter().map(String::as_str);
-    let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
+    let known = (start, known_text);
+    let text = TextRecord::chosen(&config.text, known, instructions, corpus.vectors)?;
     let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?;
     let sampler = WindowSampler {
@@ -292,6 +269,7 @@ pub fn train_motionrefit<'a>(
         normalizer: &record.normalizer,
         fps: record.compose.config.fps,
     };
+    let training = |first, count| sampler.draw(first, count);
     let validation = |first, count| val_sampler.draw(first, count);
     let task = Task::<MotionRefit, NoisyBatch> {
         kind: KIND,
@@ -299,15 +277,12 @@ pub fn train_motionrefit<'a>(
         run: config.run,
         of_thread: Some(16),
         epoch_len: corpus.train.epoch_len(),
-        draw: &|step, micro| {
-            let run = &config.run;
-            run.batches(step, micro, |first, count| sampler.draw(first, count))
-        },
+        network: &|device| record.network(device),
+        draw: &config.run.batches(training),
         loss: &|model, batch, device, pass| model.loss(&objective, batch, device, pass),
         validation: config.run.validation(config.val_windows, validation)?,
     };
-    let network = |device: &Device| record.network(device);
-    Ok(train(&task, network, &run, session)?.1)
+    train(&task, &run, session)
 }
 
 /// The extrapolation of the run whose weights are taken over, otherwise one fitted to the first windows of `sampler`.

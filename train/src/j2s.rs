@@ -6,7 +6,7 @@ use burn::tensor::{Device, Tensor};
 use datasets_spec::{Motion, Pose, Seed};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::KeypointFrame;
-use kinematics::fit::{AdamFit, FitOptions, Parameters, fit_pose};
+use kinematics::fit::{AdamFit, FitOptions, fit_pose};
 use kinematics::rotation::{from_axis_angle, from_six_d_rows, to_axis_angle, to_six_d_rows};
 use kinematics::skeleton::{FIT_KEYPOINTS, Joint, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton};
 use rand::RngExt;
@@ -47,7 +47,7 @@ impl J2sPreset {
         }
     }
 
-    pub(crate) fn fit(self) -> AdamFit {
+    fn fit(self) -> AdamFit {
         match self {
             Self::Paper => AdamFit::paper(),
             Self::Official => AdamFit::official(),
@@ -120,6 +120,16 @@ impl J2sConfig {
         self.run.check()?;
         self.run.check_whole("its poses are drawn together")
     }
+
+    /// The settings with the intervals that are used: a short run still writes a line of metrics after each twentieth of
+    /// its steps, and validates after each tenth.
+    fn used(&self) -> Self {
+        let mut used = self.clone();
+        let num_steps = used.run.length.steps;
+        used.run.log_every = used.run.log_every.min(num_steps.div_ceil(20));
+        used.run.val_every = used.run.val_every.min(num_steps.div_ceil(10));
+        used
+    }
 }
 
 /// A network that predicts joint rotations from keypoints.
@@ -187,45 +197,38 @@ pub fn train_j2s<'a>(
     Error::if_empty(train, "training split of the pose network")?;
     Error::if_empty(val, "validation split of the pose network")?;
     config.check()?;
+    let start = start.into();
+    // Earlier versions recorded the intervals that were asked for. Their runs keep these, and so go on.
+    let own = Start {
+        init: None,
+        ..start
+    };
+    let intervals = |config: &J2sConfig| (config.run.log_every, config.run.val_every);
+    let known: Option<J2sConfig> = own.fitted(KIND)?;
+    let config = &match known.is_some_and(|known| intervals(&known) == intervals(config)) {
+        true => config.clone(),
+        false => config.used(),
+    };
     let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone()).trained_in(session);
     let run = Run::open(start, &document)?;
     let run_dir = run.dir();
-    let (network, done) = match config.preset {
+    let data = (config, motions, skeleton);
+    let done = match config.preset {
         J2sPreset::Paper => {
-            let net = |device: &Device| PaperPoseNet::new(config.width, device);
-            let (net, done) = fit(
-                PaperPoseNet::forward,
-                net,
-                config,
-                motions,
-                skeleton,
-                &run,
-                session,
-            )?;
-            (Network::Paper(Box::new(net)), done)
+            let network = |device: &Device| PaperPoseNet::new(config.width, device);
+            fit(PaperPoseNet::forward, &network, data, &run, session)?
         }
         J2sPreset::Official => {
-            let net = |device: &Device| OfficialPoseNet::new(config.width, device);
-            let (net, done) = fit(
-                OfficialPoseNet::forward,
-                net,
-                config,
-                motions,
-                skeleton,
-                &run,
-                session,
-            )?;
-            (Network::Official(Box::new(net)), done)
+            let network = |device: &Device| OfficialPoseNet::new(config.width, device);
+            fit(OfficialPoseNet::forward, &network, data, &run, session)?
         }
     };
-    // Edits use the best checkpoint; a run that was stopped early may have none.
-    let net = match checkpoint::read(run_dir, Slot::Best)? {
-        Some(_) => PoseNet::load(run_dir, Slot::Best, session.device)?.0,
-        None => PoseNet {
-            network,
-            faces_forward: config.faces_forward,
-        },
+    // Edits use the best checkpoint; a run that was stopped early may have only the last one.
+    let slot = match checkpoint::read(run_dir, Slot::Best)? {
+        Some(_) => Slot::Best,
+        None => Slot::Last,
     };
+    let (net, _) = PoseNet::load(run_dir, slot, session.device)?;
     let report = J2sReport {
         config: config.clone(),
         dataset_hash: dataset_hash.to_owned(),
@@ -245,40 +248,35 @@ pub fn train_j2s<'a>(
 /// Trains one of the networks. `forward` computes its output for rows of points.
 fn fit<M: Networks>(
     forward: fn(&M, Tensor<2>) -> Tensor<2>,
-    network: impl FnOnce(&Device) -> M,
-    config: &J2sConfig,
-    [train, val]: [&[Motion]; 2],
-    skeleton: &Skeleton,
+    network: &(dyn Fn(&Device) -> M + Sync),
+    (config, [train, val], skeleton): (&J2sConfig, [&[Motion]; 2], &Skeleton),
     run: &Run,
     session: &Session<'_>,
-) -> Result<(M, TrainReport), Error> {
+) -> Result<TrainReport, Error> {
     let seed = Seed(config.run.seed).derive(&["poses"]);
-    let mut settings = config.run;
-    // A short run still writes a line of metrics after each twentieth of its steps, and validates after each tenth.
-    let num_steps = settings.length.steps;
-    settings.log_every = settings.log_every.min(num_steps.div_ceil(20));
-    settings.val_every = settings.val_every.min(num_steps.div_ceil(10));
     let val_poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
     let task = Task::<M, (Vec<f32>, Vec<f32>)> {
         kind: KIND,
         samples: "poses",
-        run: settings,
+        run: config.used().run,
         // Batch normalisation needs the whole batch at once; its running statistics would depend on the order of the threads.
         of_thread: (config.preset == J2sPreset::Paper).then_some(128),
         epoch_len: train.iter().map(|motion| motion.len() as u64).sum(),
+        network,
         draw: &|step, micro| {
             let run = &config.run;
             let poses = draw_poses(train, run.batch_size, seed.rng_of(step));
             let noise = seed.derive(&["noise"]).rng_of(step);
             let (points, wanted) = samples(&poses, config, skeleton, Some(noise));
-            run.batches(step, micro, |first, count| {
+            let batches = run.batches(|first, count| {
                 let first = (first % run.batch_size as u64) as usize;
                 let rows = |numbers: &[f32]| {
                     let width = numbers.len() / run.batch_size;
                     numbers[first * width..(first + count) * width].to_vec()
                 };
                 Ok((rows(&points), rows(&wanted)))
-            })
+            });
+            batches(step, micro)
         },
         loss: &|net, (points, wanted), device, _| {
             let rows = points.len() / config.preset.input();
@@ -288,7 +286,7 @@ fn fit<M: Networks>(
         },
         validation: vec![(1, samples(&val_poses, config, skeleton, None))],
     };
-    trainer::train(&task, network, run, session)
+    trainer::train(&task, run, session)
 }
 
 fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {
@@ -430,8 +428,7 @@ impl PoseNet {
         }
     }
 
-    /// The preset of the network.
-    pub fn preset(&self) -> J2sPreset {
+    fn preset(&self) -> J2sPreset {
         match self.network {
             Network::Paper(_) => J2sPreset::Paper,
             Network::Official(_) => J2sPreset::Official,
@@ -493,46 +490,23 @@ impl PoseNet {
             })
             .collect()
     }
-}
 
-/// How the predicted poses are refined.
-#[derive(Clone, Debug)]
-pub enum Refinement {
-    /// No refinement.
-    None,
-    /// Gradient descent, as published.
-    Adam(AdamFit),
-    /// A second-order fit.
-    SecondOrder(Box<FitOptions>),
-}
-
-/// Poses for keypoint frames in metres: predicted by the network, then refined.
-pub fn solve(
-    net: &PoseNet,
-    refinement: &Refinement,
-    frames: &[KeypointFrame],
-    skeleton: &Skeleton,
-    device: &Device,
-) -> Vec<Pose> {
-    let first = net.poses(frames, skeleton, device);
-    match refinement {
-        Refinement::None => first,
-        Refinement::Adam(fit) => {
-            let start: Vec<Parameters> = AdamFit::parameters_of(&first);
-            // Frames are fitted independently. Their number only scales the gradient, which Adam cancels up to its
-            // epsilon.
-            let fitted: Vec<Vec<Pose>> = frames
-                .par_chunks(16)
-                .zip(start.par_chunks(16))
-                .map(|(frames, start)| fit.fit(skeleton, frames, start).poses())
-                .collect();
-            fitted.into_iter().flatten().collect()
-        }
-        Refinement::SecondOrder(options) => frames
-            .par_iter()
-            .zip(&first)
-            .map(|(frame, first)| fit_pose(skeleton, frame, Some(first), options).pose)
-            .collect(),
+    /// As [`PoseNet::poses`], refined by gradient descent, as published.
+    pub(crate) fn refined(
+        &self,
+        frames: &[KeypointFrame],
+        skeleton: &Skeleton,
+        device: &Device,
+    ) -> Vec<Pose> {
+        let start = AdamFit::parameters_of(&self.poses(frames, skeleton, device));
+        let fit = self.preset().fit();
+        // Frames are fitted independently. Their number only scales the gradient, which Adam cancels up to its epsilon.
+        let fitted: Vec<Vec<Pose>> = frames
+            .par_chunks(16)
+            .zip(start.par_chunks(16))
+            .map(|(frames, start)| fit.fit(skeleton, frames, start).poses())
+            .collect();
+        fitted.into_iter().flatten().collect()
     }
 }
 
@@ -547,45 +521,41 @@ fn measure(
     let seed = Seed(config.run.seed).derive(&["measure"]);
     let poses = draw_poses(motions, POSES, seed.rng_of(0));
     let frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
-    let second_order = FitOptions::default();
-    let methods: [(&'static str, Option<Refinement>); 4] = [
-        ("network", Some(Refinement::None)),
-        ("network, Adam", Some(Refinement::Adam(config.preset.fit()))),
-        (
-            "network, second order",
-            Some(Refinement::SecondOrder(Box::new(second_order.clone()))),
-        ),
-        ("geometry, second order", None),
-    ];
-    methods
-        .into_iter()
-        .map(|(name, refinement)| {
-            let begun = session.secs();
-            let found: Vec<Pose> = match &refinement {
-                Some(refinement) => solve(net, refinement, &frames, skeleton, session.device),
-                None => frames
-                    .par_iter()
-                    .map(|frame| fit_pose(skeleton, frame, None, &second_order).pose)
-                    .collect(),
-            };
-            let secs = session.secs() - begun;
-            let placed = skeleton.points_of_poses::<NUM_KEYPOINTS>(&found);
-            let pairs = frames.iter().flatten().zip(placed.iter().flatten());
-            let error: f64 = pairs.map(|(a, b)| a.distance(*b)).sum();
-            let turned = poses.iter().zip(&found).flat_map(|(a, b)| {
-                a.rotations
-                    .into_iter()
-                    .zip(b.rotations)
-                    .map(|(a, b)| kinematics::rotation::angle_between(a, b))
-            });
-            FitErrors {
-                name,
-                error_mm: 1e3 * error / (POSES * NUM_KEYPOINTS) as f64,
-                error_deg: turned.sum::<f64>().to_degrees() / (POSES * NUM_BODY_JOINTS) as f64,
-                frames_per_sec: POSES as f64 / secs.max(1e-9),
-            }
-        })
-        .collect()
+    let options = FitOptions::default();
+    let second_order = |first: Option<&[Pose]>| -> Vec<Pose> {
+        let fitted = |(index, frame): (usize, &KeypointFrame)| {
+            let first = first.map(|first| &first[index]);
+            fit_pose(skeleton, frame, first, &options).pose
+        };
+        frames.par_iter().enumerate().map(fitted).collect()
+    };
+    let predicted = || net.poses(&frames, skeleton, session.device);
+    let errors = |name, solve: &dyn Fn() -> Vec<Pose>| {
+        let begun = session.secs();
+        let found = solve();
+        let secs = session.secs() - begun;
+        let placed = skeleton.points_of_poses::<NUM_KEYPOINTS>(&found);
+        let pairs = frames.iter().flatten().zip(placed.iter().flatten());
+        let error: f64 = pairs.map(|(a, b)| a.distance(*b)).sum();
+        let turned = poses.iter().zip(&found).flat_map(|(a, b)| {
+            let pairs = a.rotations.into_iter().zip(b.rotations);
+            pairs.map(|(a, b)| kinematics::rotation::angle_between(a, b))
+        });
+        FitErrors {
+            name,
+            error_mm: 1e3 * error / (POSES * NUM_KEYPOINTS) as f64,
+            error_deg: turned.sum::<f64>().to_degrees() / (POSES * NUM_BODY_JOINTS) as f64,
+            frames_per_sec: POSES as f64 / secs.max(1e-9),
+        }
+    };
+    let adam = || net.refined(&frames, skeleton, session.device);
+    let both = || second_order(Some(&predicted()));
+    vec![
+        errors("network", &predicted),
+        errors("network, Adam", &adam),
+        errors("network, second order", &both),
+        errors("geometry, second order", &|| second_order(None)),
+    ]
 }
 
 #[cfg(test)]

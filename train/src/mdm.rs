@@ -176,7 +176,8 @@ pub fn train_mdm<'a>(
     let start = start.into();
     let fitted: Option<MdmRecord> = start.fitted(KIND)?;
     let (known_text, known_features) = fitted.map(|known| (known.text, known.features)).unzip();
-    let text = TextRecord::chosen(&config.text, known_text, corpus.captions(), corpus.vectors)?;
+    let known = (start, known_text);
+    let text = TextRecord::chosen(&config.text, known, corpus.captions(), corpus.vectors)?;
     let rows = |clips, what| captioned_rows(clips, corpus.skeleton, config.min_frames, what);
     let train = rows(corpus.train, "training split of MDM")?;
     let val = rows(corpus.val, "validation split of MDM")?;
@@ -215,17 +216,15 @@ pub fn train_mdm<'a>(
         run: config.run,
         of_thread: Some(4),
         epoch_len: train.len() as u64,
-        draw: &|step, micro| {
-            config.run.batches(step, micro, |first, count| {
-                let crops = sampler.draw(first, count);
-                noising.noisy(crops, sampler.seed, first, config.text_dropout)
-            })
-        },
+        network: &|device| record.network(device),
+        draw: &config.run.batches(|first, count| {
+            let crops = sampler.draw(first, count);
+            noising.noisy(crops, sampler.seed, first, config.text_dropout)
+        }),
         loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
         validation: val_batches.collect::<Result<_, Error>>()?,
     };
-    let network = |device: &Device| record.network(device);
-    let report = trainer::train(&task, network, &run, session)?.1;
+    let report = trainer::train(&task, &run, session)?;
     Ok(report.without((corpus.train.len() - train.len()) as u64))
 }
 

@@ -22,10 +22,9 @@ use crate::model::weights::Networks;
 use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
-use crate::system::Setting::{Count, Number};
 use crate::system::{
     EditConfig, EditInput, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
-    in_groups, named_with,
+    changed, in_groups, named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -126,12 +125,12 @@ fn system_name(
         .map_or(trained.guidance, |preset| preset.guidance);
     let plain = PartInpainting::new(inpainting.schedule.clone(), None, None)?;
     let changes = [
-        ("guidance", Number(guidance, usual)),
-        ("temperature", Number(temperature, 1.0)),
-        ("start", Count(inpainting.start, plain.start)),
-        ("release", Count(inpainting.release, plain.release)),
+        changed("guidance", guidance, usual),
+        changed("temperature", temperature, 1.0),
+        changed("start", inpainting.start, plain.start),
+        changed("release", inpainting.release, plain.release),
     ];
-    Ok(named_with(name.to_owned(), slot, &changes))
+    Ok(named_with(name.to_owned(), slot, changes))
 }
 
 /// Sampling in which parts of the estimated clean motion are replaced by those of a source.
@@ -364,11 +363,7 @@ impl EditSystem for MdmBpSystem {
     }
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
-        Remarks {
-            num_cut: self.record.text.num_cut(texts),
-            unknown_words: self.record.text.unknown_words(texts),
-            ..Remarks::default()
-        }
+        Remarks::of_texts(&self.record.text, texts)
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {

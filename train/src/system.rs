@@ -5,6 +5,7 @@ mod remarks;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -128,29 +129,24 @@ impl SystemIdentity {
 }
 
 /// Name of a system, followed by the settings that differ from those usual for its preset, such as `MotionReFit tiny
-/// (guidance 3)`. So two systems with different settings never share a name.
-pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)]) -> String {
+/// (guidance 3)`. So two systems with different settings never share a name. `settings` gives one text for each setting
+/// ([`changed`]), or none if it is as usual.
+pub(crate) fn named_with(
+    name: String,
+    slot: Slot,
+    settings: impl IntoIterator<Item = Option<String>>,
+) -> String {
     let checkpoint = (slot != Slot::Best).then(|| format!("checkpoint {}", slot.name()));
-    let changed = settings.iter().filter_map(|(what, setting)| match setting {
-        Setting::Number(used, usual) => (used != usual).then(|| format!("{what} {used}")),
-        Setting::Count(used, usual) => (used != usual).then(|| format!("{what} {used}")),
-        Setting::Flag(is_on) => is_on.then(|| (*what).to_owned()),
-    });
-    let changed: Vec<String> = checkpoint.into_iter().chain(changed).collect();
+    let changed: Vec<String> = [checkpoint].into_iter().chain(settings).flatten().collect();
     match changed.as_slice() {
         [] => name,
         _ => format!("{name} ({})", changed.join(", ")),
     }
 }
 
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Setting {
-    /// The used value and the usual one.
-    Number(f64, f64),
-    /// The used value and the usual one.
-    Count(usize, usize),
-    /// Whether the setting is on; usually it is off.
-    Flag(bool),
+/// A setting and its value, if that is not the usual one.
+pub(crate) fn changed<T: PartialEq + Display>(what: &str, used: T, usual: T) -> Option<String> {
+    (used != usual).then(|| format!("{what} {used}"))
 }
 
 /// Folders and files from which a system is loaded.
@@ -638,20 +634,17 @@ mod tests {
 
     #[test]
     fn a_warning_names_some_of_many_unknown_words() {
-        let line = |count: usize| {
+        let check = |count: usize, expected: &str| {
             let unknown_words = (0..count).map(|word| format!("w{word:02}")).collect();
             let remarks = Remarks {
                 unknown_words,
                 ..Remarks::default()
             };
-            remarks.lines().concat()
+            let line = remarks.lines().concat();
+            assert!(line.contains(expected), "{line}");
         };
-        assert!(line(12).contains("w10, w11: it cannot"), "{}", line(12));
-        assert!(
-            line(15).contains("w11 and 3 more words: it"),
-            "{}",
-            line(15)
-        );
+        check(12, "w10, w11: it cannot");
+        check(15, "w11 and 3 more words: it");
     }
 
     #[test]
@@ -686,26 +679,20 @@ mod tests {
 
     #[test]
     fn settings_that_differ_stand_in_the_name() {
-        let named = |slot, settings: &[(&str, Setting)]| {
+        let named = |slot, guidance: f64, steps: usize, from_source: bool| {
+            let settings = [
+                changed("guidance", guidance, 1.0),
+                changed("steps", steps, 20),
+                from_source.then(|| "from source".to_owned()),
+            ];
             named_with("MotionReFit tiny".to_owned(), slot, settings)
         };
-        let usual = [
-            ("guidance", Setting::Number(1.0, 1.0)),
-            ("steps", Setting::Count(20, 20)),
-            ("from source", Setting::Flag(false)),
-        ];
-        assert_eq!(named(Slot::Best, &usual), "MotionReFit tiny");
-        let changed = [
-            ("guidance", Setting::Number(3.0, 1.0)),
-            ("steps", Setting::Count(10, 20)),
-            ("from source", Setting::Flag(true)),
-        ];
+        assert_eq!(named(Slot::Best, 1.0, 20, false), "MotionReFit tiny");
         assert_eq!(
-            named(Slot::Epoch(5), &changed),
+            named(Slot::Epoch(5), 3.0, 10, true),
             "MotionReFit tiny (checkpoint epoch-5, guidance 3, steps 10, from source)"
         );
-        let quarter = [("guidance", Setting::Number(0.25, 1.0))];
-        let name = named(Slot::Best, &quarter);
+        let name = named(Slot::Best, 0.25, 20, false);
         assert_eq!(name, "MotionReFit tiny (guidance 0.25)");
     }
 }

@@ -59,7 +59,7 @@ pub fn of_training(
         },
         fps: Fps::STORE,
     };
-    let batch = batch(rows);
+    let batch = noisy_batch(rows);
     let text = Tensor::random(
         [rows, config.model.width],
         Distribution::Normal(0.0, 1.0),
@@ -99,7 +99,8 @@ pub fn of_training(
     Ok((steps, (clock() - begun).as_secs_f64()))
 }
 
-fn batch(rows: usize) -> NoisyBatch {
+/// A batch of windows without texts, because the objective is given their vectors.
+pub fn noisy_batch(rows: usize) -> NoisyBatch {
     let numbers = rows * WINDOW_FRAMES * FRAME_WIDTH;
     let values = || -> Vec<f32> { (0..numbers).map(|at| (at as f32 * 0.37).sin()).collect() };
     NoisyBatch {

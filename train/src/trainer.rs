@@ -12,7 +12,7 @@ mod task;
 use std::path::Path;
 
 use burn::optim::ModuleOptimizer;
-use burn::tensor::{Bytes, Device};
+use burn::tensor::Bytes;
 use datasets_spec::Seed;
 use serde::Serialize;
 
@@ -91,9 +91,7 @@ impl TrainReport {
     }
 }
 
-/// Trains a model, or continues the training of the run folder, and returns the model for use: with averaged weights
-/// (EMA) if the settings ask for them. `network` builds the model on a device; its initial weights depend on the seed
-/// of the run.
+/// Trains a model, or continues the training of the run folder. The initial weights depend on the seed of the run.
 ///
 /// An interrupted run continues exactly: weights, optimiser, data, noise and learning rate are those of an
 /// uninterrupted run.
@@ -103,12 +101,11 @@ impl TrainReport {
 /// finite, or a file cannot be written.
 pub(crate) fn train<M: Networks, B: Send + Sync>(
     task: &Task<'_, M, B>,
-    network: impl FnOnce(&Device) -> M,
     run: &Run,
     session: &Session<'_>,
-) -> Result<(M, TrainReport), Error> {
+) -> Result<TrainReport, Error> {
     let seed = Seed(task.run.seed).derive(&["weights"]);
-    let mut model = draw(network(&session.device.clone().autodiff()), seed)?;
+    let mut model = draw((task.network)(&session.device.clone().autodiff()), seed)?;
     let mut training = Training::begin(task, &mut model, run, session)?;
     let num_steps = task.num_steps();
     session
@@ -137,8 +134,7 @@ pub(crate) fn train<M: Networks, B: Send + Sync>(
         training.whole.merge(&training.recent);
         Ok(model)
     })?;
-    let report = training.end(&model)?;
-    Ok((training.used(&model), report))
+    training.end(&model)
 }
 
 /// State of a run in training, without the model, which is passed through every step.

@@ -6,7 +6,8 @@ use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::config::positive;
+use crate::checkpoint::{CONFIG, Start};
+use crate::config::{WordsConfig, ensure, positive};
 
 /// Id of the padding token, which fills rows up to the length of the longest.
 pub const PADDING: i32 = 0;
@@ -84,6 +85,23 @@ impl Vocabulary {
         })
     }
 
+    /// Refuses settings of a vocabulary that a new run makes no use of, because it keeps this one with the weights that
+    /// it begins with. A run that has begun keeps the settings that it recorded.
+    pub(crate) fn check_kept(
+        &self,
+        field: &'static str,
+        words: &WordsConfig,
+        start: Start<'_>,
+    ) -> Result<(), Error> {
+        let (buckets, most) = (self.num_buckets, self.max_words);
+        let is_kept = (words.num_buckets, words.max_words) == (buckets, most);
+        let problem = format!(
+            "the run keeps the vocabulary of the weights that it begins with; set num_buckets = {buckets} and \
+             max_words = {most} as there"
+        );
+        ensure(is_kept || start.run.join(CONFIG).exists(), field, problem)
+    }
+
     /// Number of tokens: padding, words and buckets.
     pub fn num_tokens(&self) -> usize {
         1 + self.words.len() + self.num_buckets
@@ -124,16 +142,13 @@ impl Vocabulary {
     }
 
     fn token(&self, word: &str) -> usize {
-        match self
+        let place = self
             .words
-            .binary_search_by(|known| known.as_str().cmp(word))
-        {
-            Ok(index) => 1 + index,
-            Err(_) => {
-                let bucket = Seed(0).draw_u64(&["unknown word", word]) % self.num_buckets as u64;
-                1 + self.words.len() + bucket as usize
-            }
-        }
+            .binary_search_by(|known| known.as_str().cmp(word));
+        1 + place.unwrap_or_else(|_| {
+            let bucket = Seed(0).draw_u64(&["unknown word", word]) % self.num_buckets as u64;
+            self.words.len() + bucket as usize
+        })
     }
 }
 

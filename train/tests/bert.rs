@@ -7,14 +7,12 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::Seed;
-use safetensors::Dtype;
-use safetensors::tensor::TensorView;
 use serde_json::{Value, json};
 use train::Error;
 use train::checkpoint::Slot;
 use train::config::{BertVectors, NetworkConfig};
 use train::exchange::{TextSide, import_motion_encoder};
-use train::features::{FeatureRecipe, FeatureStats};
+use train::features::FeatureRecipe;
 use train::model::pass::Pass;
 use train::model::tmr::SequenceEncoder;
 use train::model::weights::{draw, to_safetensors};
@@ -25,11 +23,11 @@ use train::text::table::EmbeddingTable;
 use train::tmr::TmrEncoder;
 use zip::write::SimpleFileOptions;
 
+use crate::shared::{Weights, as_safetensors, plain_stats, refused};
+
 const VOCABULARY: &str = "[PAD]\n[UNK]\n[CLS]\n[SEP]\nraise\nthe\nleft\nright\narm\n##s\nwave\n";
 const WIDTH: usize = 4;
 const HIDDEN: usize = 6;
-
-type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 /// Weights of a one-layer network. Element `i` of the tensor with index `k`, in the order of the names, is `sin(0.7 i +
 /// k) / 2`.
@@ -100,18 +98,7 @@ fn write(folder: &Path, name: &str, document: &Value) {
 }
 
 fn write_weights(folder: &Path, weights: &Weights) {
-    let data: Vec<(&String, &Vec<usize>, Vec<u8>)> = weights
-        .iter()
-        .map(|(name, (shape, values))| {
-            let data = values.iter().flat_map(|value| value.to_le_bytes());
-            (name, shape, data.collect())
-        })
-        .collect();
-    let views = data.iter().map(|(name, shape, data)| {
-        let view = TensorView::new(Dtype::F32, shape.to_vec(), data).expect("fits");
-        (name.as_str(), view)
-    });
-    let bytes = safetensors::serialize(views, None).expect("serialises");
+    let bytes = as_safetensors(weights);
     fs::write(folder.join("model.safetensors"), bytes).expect("written");
 }
 
@@ -143,12 +130,6 @@ fn write_modules(folder: &Path, mode: &str) {
 
 fn load(folder: &Path) -> Result<BertEncoder, Error> {
     BertEncoder::load(&BertFiles::in_folder(folder)?, &Device::flex())
-}
-
-/// Checks that the result is an error whose message contains `why`.
-fn refused<T>(result: Result<T, Error>, why: &str) {
-    let error = result.err().expect("refused").to_string();
-    assert!(error.contains(why), "{error}");
 }
 
 fn encode(encoder: &BertEncoder, text: &str, vectors: BertVectors) -> Vec<f32> {
@@ -421,11 +402,7 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let distilbert = folder("distilbert", "distilbert.");
     let run = dir.path().join("run");
-    let stats = FeatureStats {
-        recipe,
-        mean: vec![0.0; recipe.width()],
-        std: vec![1.0; recipe.width()],
-    };
+    let stats = plain_stats(recipe, recipe.width());
     let import = |run: &Path, text: &SequenceEncoder| {
         let side = TextSide {
             weights: bytes(text),

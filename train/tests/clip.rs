@@ -1,15 +1,14 @@
 //! CLIP as a text encoder: parity with the reference, all file formats, and tables.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use datasets_spec::Seed;
 use remote_store::hub::HubCache;
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensors};
+use safetensors::SafeTensors;
 use train::Error;
 use train::config::BertVectors;
 use train::model::clip::{ClipConfig, ClipText};
@@ -22,79 +21,42 @@ use train::text::tokens::ClipTokenizer;
 use train::vocabulary::TokenBatch;
 use zip::write::SimpleFileOptions;
 
-use crate::recorded::Recorded;
+use crate::golden::{Golden, check};
+use crate::shared::{Weights, as_safetensors, le_bytes, refused};
 
 /// Tolerance that the recording states for single precision.
 const TOLERANCE: f32 = 5e-5;
 
-fn read(case: &str) -> Recorded {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    Recorded::read(&root, case)
-}
-
-fn metadata(golden: &Recorded) -> HashMap<String, String> {
-    let bytes = fs::read(&golden.path).expect("the file was read before");
-    let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
-    header.metadata().clone().expect("metadata")
-}
-
-/// Checks that the result is an error whose message contains `why`.
-fn refused<T>(result: Result<T, Error>, why: &str) {
-    let error = result.err().expect("refused").to_string();
-    assert!(error.contains(why), "{error}");
-}
-
-/// Numbers of tokens of the recorded texts.
-fn lengths(golden: &Recorded) -> Vec<usize> {
-    let mask = golden.get("in.attention_mask");
-    let rows = mask.values.chunks_exact(mask.shape[1]);
-    rows.map(|row| row.iter().sum::<f64>() as usize).collect()
-}
-
-fn golden_config(golden: &Recorded) -> ClipConfig {
-    let metadata = metadata(golden);
-    let size = |key: &str| metadata[key].parse().expect("a number");
+fn golden_config(golden: &Golden) -> ClipConfig {
     ClipConfig {
-        num_tokens: size("vocab_size"),
-        context: golden.get("in.ids_zero_pad").shape[1],
-        width: size("hidden_size"),
-        num_layers: size("num_hidden_layers"),
-        num_heads: size("num_attention_heads"),
-        feed_forward: size("intermediate_size"),
-        projection: size("projection_dim"),
-        end_token: size("eos_token_id"),
+        num_tokens: golden.size("vocab_size"),
+        context: golden.values("in.ids_zero_pad").1[1],
+        width: golden.size("hidden_size"),
+        num_layers: golden.size("num_hidden_layers"),
+        num_heads: golden.size("num_attention_heads"),
+        feed_forward: golden.size("intermediate_size"),
+        projection: golden.size("projection_dim"),
+        end_token: golden.size("eos_token_id"),
     }
 }
 
-fn golden_network(golden: &Recorded, config: &ClipConfig) -> ClipText {
-    let bytes = fs::read(&golden.path).expect("the file was read before");
-    ClipText::from_safetensors(config, &bytes, "weights.", &golden.path, &Device::flex())
+fn golden_network(golden: &Golden, config: &ClipConfig) -> ClipText {
+    let (bytes, path) = (golden.bytes(), &golden.0.path);
+    ClipText::from_safetensors(config, &bytes, "weights.", path, &Device::flex())
         .expect("loads by name")
 }
 
-fn ids(golden: &Recorded, name: &str) -> TokenBatch {
-    let tensor = golden.get(name);
+fn ids(golden: &Golden, name: &str) -> TokenBatch {
+    let (values, shape) = golden.values(name);
     TokenBatch {
-        ids: tensor.values.iter().map(|&id| id as i32).collect(),
-        width: tensor.shape[1],
+        ids: values.iter().map(|&id| id as i32).collect(),
+        width: shape[1],
     }
-}
-
-fn check<const D: usize>(tensor: Tensor<D>, golden: &Recorded, name: &str) {
-    let expected = golden.get(name);
-    assert_eq!(tensor.dims().to_vec(), expected.shape, "{name}");
-    let values: Vec<f32> = tensor.into_data().try_into_vec_as().expect("floats");
-    let difference = values
-        .iter()
-        .zip(&expected.values)
-        .map(|(value, &expected)| (value - expected as f32).abs())
-        .fold(0.0, f32::max);
-    assert!(difference <= TOLERANCE, "{name}: {difference}");
 }
 
 #[test]
 fn golden_clip_text() {
-    let golden = read("clip_text");
+    let golden = Golden::read("clip_text");
     let config = golden_config(&golden);
     let network = golden_network(&golden, &config);
     assert_eq!(network.width(), config.projection);
@@ -102,47 +64,49 @@ fn golden_clip_text() {
     for case in ["zero_pad", "end_pad"] {
         let tokens = ids(&golden, &format!("in.ids_{case}"));
         let name = format!("out.{case}.last_hidden_state");
-        let recorded = golden.get(&name).shape[1];
-        let hidden = network.hidden(&tokens, None).narrow(1, 0, recorded);
-        check(hidden, &golden, &name);
+        let recorded = golden.values(&name).1[1];
+        let hidden = network.hidden(&tokens).narrow(1, 0, recorded);
+        check(hidden, &golden, &name, TOLERANCE);
         let name = format!("out.{case}.text_embeds");
-        check(network.forward(&tokens), &golden, &name);
+        check(network.forward(&tokens), &golden, &name, TOLERANCE);
     }
     let end_pad = ids(&golden, "in.ids_end_pad");
-    let hidden = network.hidden(&end_pad, Some(&lengths(&golden)));
+    // The reference masks padding here. It follows the end token, which causal attention does not show it to.
+    let hidden = network.hidden(&end_pad);
     let pooled = network.project(hidden.clone(), &end_pad);
-    check(pooled, &golden, "out.end_pad_masked.text_embeds");
+    let name = "out.end_pad_masked.text_embeds";
+    check(pooled, &golden, name, TOLERANCE);
     // The vectors of padding tokens are recorded as zeros.
-    let mask = golden.get("in.attention_mask");
-    let kept: Vec<f32> = mask.values.iter().map(|&kept| kept as f32).collect();
-    let kept = TensorData::new(kept, mask.shape.clone());
-    let kept = Tensor::<2>::from_data(kept, &Device::flex()).unsqueeze_dim::<3>(2);
-    let masked = hidden * kept;
-    check(masked, &golden, "out.end_pad_masked.last_hidden_state");
+    let kept = golden.tensor::<2>("in.attention_mask");
+    let masked = hidden * kept.unsqueeze_dim::<3>(2);
+    let name = "out.end_pad_masked.last_hidden_state";
+    check(masked, &golden, name, TOLERANCE);
 }
 
 #[test]
 fn golden_clip_text_does_not_depend_on_what_follows_the_end() {
-    let golden = read("clip_text");
+    let golden = Golden::read("clip_text");
     let config = golden_config(&golden);
     let whole = ids(&golden, "in.ids_zero_pad");
-    let width = lengths(&golden).into_iter().max().expect("rows");
+    let lengths = golden.lengths("in.attention_mask");
+    let width = lengths.into_iter().max().expect("rows");
     let rows = whole.ids.chunks_exact(whole.width);
     let cut = TokenBatch {
         ids: rows.flat_map(|row| row[..width].to_vec()).collect(),
         width,
     };
+    let name = "out.zero_pad.text_embeds";
     let found = golden_network(&golden, &config).forward(&cut);
-    check(found, &golden, "out.zero_pad.text_embeds");
+    check(found, &golden, name, TOLERANCE);
     // Old configurations record 2 as the end token; for them the largest number is the end token.
     let legacy = ClipConfig {
         end_token: 2,
         ..config
     };
     let network = golden_network(&golden, &legacy);
-    check(network.forward(&whole), &golden, "out.zero_pad.text_embeds");
+    check(network.forward(&whole), &golden, name, TOLERANCE);
     let end_pad = network.forward(&ids(&golden, "in.ids_end_pad"));
-    check(end_pad, &golden, "out.end_pad.text_embeds");
+    check(end_pad, &golden, "out.end_pad.text_embeds", TOLERANCE);
 }
 
 #[test]
@@ -151,12 +115,12 @@ fn golden_clip_tokens() {
         skipped();
         return;
     };
-    let golden = read("clip_tokens");
-    let sentences: Vec<String> =
-        serde_json::from_str(&metadata(&golden)["sentences"]).expect("a list");
+    let golden = Golden::read("clip_tokens");
+    let sentences = &golden.metadata()["sentences"];
+    let sentences: Vec<String> = serde_json::from_str(sentences).expect("a list");
     let tokenizer = ClipTokenizer::read(&path).expect("a tokenizer of CLIP");
     assert_eq!(tokenizer.num_tokens(), ClipConfig::vit_b_32().num_tokens);
-    for (name, expected) in &golden.tensors {
+    for (name, expected) in &golden.0.tensors {
         if !name.starts_with("out.ids") {
             continue;
         }
@@ -169,10 +133,10 @@ fn golden_clip_tokens() {
         }
     }
     let texts: Vec<&str> = sentences.iter().map(String::as_str).collect();
-    let context = golden.get("out.ids").shape[1];
+    let context = golden.values("out.ids").1[1];
     let batch = tokenizer.encode_batch(&texts, context).expect("encoded");
-    let lengths = golden.get("out.lengths").values.iter().copied();
-    assert_eq!(batch.width, lengths.fold(0.0, f64::max) as usize);
+    let lengths = golden.indices("out.lengths").into_iter();
+    assert_eq!(Some(batch.width), lengths.max());
 }
 
 #[expect(
@@ -203,9 +167,6 @@ fn tiny_config() -> ClipConfig {
 
 const VISION: &str = "vision_model.encoder.layers.0.self_attn.q_proj.weight";
 
-/// Shapes and values of tensors by name.
-type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
-
 /// Weights of a network under Hugging Face's names, with a tensor of a vision tower and one of neither tower.
 fn tiny_weights(seed: u64) -> Weights {
     let network =
@@ -229,24 +190,6 @@ fn tiny_weights(seed: u64) -> Weights {
     weights.insert(VISION.to_owned(), (vec![2, 2], vec![1.0; 4]));
     weights.insert("logit_scale".to_owned(), (vec![], vec![2.5]));
     weights
-}
-
-fn le_bytes(values: &[f32]) -> Vec<u8> {
-    values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect()
-}
-
-fn as_safetensors(weights: &Weights) -> Vec<u8> {
-    let data = weights.iter();
-    let data = data.map(|(name, (shape, values))| (name, shape, le_bytes(values)));
-    let data: Vec<_> = data.collect();
-    let views = data.iter().map(|(name, shape, data)| {
-        let view = TensorView::new(Dtype::F32, shape.to_vec(), data).expect("fits");
-        (name.as_str(), view)
-    });
-    safetensors::serialize(views, None).expect("serialises")
 }
 
 /// A file of `torch.save` with a state dict, written with Python's opcodes. Storages are numbered; `around` lists the

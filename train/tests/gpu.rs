@@ -8,8 +8,8 @@ use std::time::Duration;
 use burn::cubecl::logging::{LaunchObservation, LaunchObserver};
 use burn::tensor::Device;
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{NoProgress, Progress, Seed, Skeleton};
-use support::{Data, items, on, settings, train};
+use datasets_spec::{NoProgress, Seed, Skeleton};
+use support::{Data, items, on, settings, stopped_after, train};
 use train::config::Preset;
 use train::device::{Adapter, DeviceName, Products, check, list, open};
 use train::metrics::{self, Curves};
@@ -179,39 +179,16 @@ fn check_variants() {
     }
 }
 
-/// Stops a run after a number of steps.
-struct StopAfter<'a> {
-    stop: &'a AtomicBool,
-    left: AtomicU64,
-}
-
-impl Progress for StopAfter<'_> {
-    fn begin(&self, _stage: &str, _total: Option<u64>) {}
-    fn advance(&self, count: u64) {
-        let left = self.left.load(Ordering::Relaxed).saturating_sub(count);
-        self.left.store(left, Ordering::Relaxed);
-        self.stop.store(left == 0, Ordering::Relaxed);
-    }
-    fn message(&self, _text: &str) {}
-    fn finish(&self, _summary: &str) {}
-}
-
 /// Checks that a run that moves from the processor to the device and back equals a run on the processor.
 fn check_crossing() {
     let run = DATA.run("crossing");
     let own = settings("motionrefit", STEPS, 1);
-    // The progress also counts the steps of earlier sessions.
     for (device, until) in [
         (&Device::flex(), 3),
         (&*DEVICE, 7),
         (&Device::flex(), u64::MAX),
     ] {
-        let stop = AtomicBool::new(false);
-        let progress = StopAfter {
-            stop: &stop,
-            left: AtomicU64::new(until),
-        };
-        on(device, &progress, &stop, |session| {
+        stopped_after(until, device, |session| {
             train(&DATA, "motionrefit", &run, &own, session);
         });
     }

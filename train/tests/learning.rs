@@ -7,13 +7,12 @@ mod tmed;
 use std::f64::consts::{PI, SQRT_2};
 use std::path::Path;
 use std::sync::LazyLock;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use burn::module::Module;
 use burn::optim::{AdamWConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};
 use compose::{ComposeConfig, CoordinatorBatch};
-use datasets_spec::{Fps, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
+use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
 use glam::{DQuat, DVec3};
 use kinematics::KeypointFrame;
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
@@ -29,19 +28,20 @@ use train::config::{
 };
 use train::coordinator::{CoordinatorConfig, Segments, TrainedCoordinator, train_coordinator};
 use train::data::{NoisyBatch, TextBatch, WindowBatch, WindowSource};
-use train::diffusion::Objective;
 use train::exchange::export;
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
 use train::model::pass::Pass;
 use train::model::weights::draw;
-use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
+use train::sample::{EditItem, EditSettings, EditTimes, Editor, TimedInstruction};
 use train::schedule::Schedule;
 use train::text::table::EmbeddingTable;
 use train::tmr::{TmrConfig, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
+
+use crate::shared::{METRES, edit_settings, objective, quietly, refused};
 
 /// Composition settings of all runs here.
 static COMPOSE: LazyLock<ComposeRecord> = LazyLock::new(|| ComposeRecord {
@@ -152,23 +152,6 @@ fn change_config(num_steps: u64) -> TrainConfig {
     config
 }
 
-/// Stops a run after a number of steps.
-struct StopAfter<'a> {
-    stop: &'a AtomicBool,
-    steps: AtomicU64,
-}
-
-impl Progress for StopAfter<'_> {
-    fn begin(&self, _stage: &str, _total: Option<u64>) {}
-    fn advance(&self, count: u64) {
-        let left = self.steps.load(Ordering::Relaxed).saturating_sub(count);
-        self.steps.store(left, Ordering::Relaxed);
-        self.stop.store(left == 0, Ordering::Relaxed);
-    }
-    fn message(&self, _text: &str) {}
-    fn finish(&self, _summary: &str) {}
-}
-
 static SKELETON: LazyLock<Skeleton> = LazyLock::new(Skeleton::smplx_neutral);
 
 /// Trains on the given windows and validates on held-out ones.
@@ -188,39 +171,12 @@ fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
     }
 }
 
-fn train_on(
-    run: &Path,
-    config: &TrainConfig,
-    source: &dyn WindowSource,
-    more_devices: &[Device],
-) -> Result<TrainReport, Error> {
-    quietly(|session| {
-        let session = Session {
-            more_devices,
-            ..*session
-        };
-        train_motionrefit(run, config, corpus(source), &session)
-    })
-}
-
-fn train_until<'a>(
-    run: impl Into<Start<'a>>,
-    config: &TrainConfig,
-    source: &dyn WindowSource,
-    progress: &dyn Progress,
-    stop: &AtomicBool,
-) -> Result<TrainReport, Error> {
-    watched(progress, stop, |session| {
-        train_motionrefit(run, config, corpus(source), session)
-    })
-}
-
 fn try_to_train<'a>(
     run: impl Into<Start<'a>>,
     config: &TrainConfig,
     source: &dyn WindowSource,
 ) -> Result<TrainReport, Error> {
-    train_until(run, config, source, &NoProgress, &AtomicBool::new(false))
+    quietly(|session| train_motionrefit(run, config, corpus(source), session))
 }
 
 fn train(run: &Path, config: &TrainConfig, source: &dyn WindowSource) -> TrainReport {
@@ -340,20 +296,6 @@ fn untrained(
     (schedule, vocabulary, model)
 }
 
-/// The objective for windows at 20 fps, whose model units are metres.
-fn objective<'a>(schedule: &'a Schedule, config: &'a DiffusionConfig) -> Objective<'a> {
-    Objective {
-        schedule,
-        extrapolation: None,
-        config,
-        normalizer: &Normalizer {
-            min: [-1.0; 3],
-            max: [1.0; 3],
-        },
-        fps: Fps::STORE,
-    }
-}
-
 #[test]
 fn a_dropped_instruction_leaves_no_trace() {
     let device = Device::flex();
@@ -425,11 +367,14 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     refused(loaded, "extrapolation.shape");
     std::fs::write(&path, whole).expect("writes");
     let told = tempfile::tempdir().expect("a folder");
-    let mut config = change_config(1);
+    config.run.length.steps = 1;
     config.diffusion.tell_frames = true;
     train(told.path(), &config, &waves(16));
-    // The released network has neither gates nor `tell_frames`.
-    for (run, why) in [(&dir, "gate"), (&told, "tell_frames")] {
+    // The released network has neither gates nor `tell_frames`. All that a model has beyond it is named at once.
+    for (run, why) in [
+        (&dir, "it has gate,"),
+        (&told, "it has tell_frames and gate,"),
+    ] {
         let out = tempfile::tempdir().expect("a folder");
         refused(export(run.path(), Slot::Best, out.path()), why);
         let mut left = std::fs::read_dir(out.path()).expect("a folder");
@@ -443,19 +388,15 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
 fn check_continued(
     stops: &[u64],
     files: &[&str],
-    train: impl Fn(&Path, &dyn Progress, &AtomicBool) -> TrainReport,
+    train: impl Fn(&Path, &Session<'_>) -> TrainReport,
 ) -> ([tempfile::TempDir; 2], Vec<TrainReport>) {
     let [whole, parts] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
-    train(whole.path(), &NoProgress, &AtomicBool::new(false));
+    quietly(|session| train(whole.path(), session));
     let mut reports = Vec::new();
     for steps in stops {
-        let stop = AtomicBool::new(false);
-        let progress = StopAfter {
-            stop: &stop,
-            // A session first reports the steps of earlier sessions.
-            steps: AtomicU64::new(steps + steps_done(parts.path())),
-        };
-        reports.push(train(parts.path(), &progress, &stop));
+        let steps = steps + steps_done(parts.path());
+        let act = |session: &Session<'_>| train(parts.path(), session);
+        reports.push(support::stopped_after(steps, &Device::flex(), act));
     }
     assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
     check_same(whole.path(), parts.path(), files);
@@ -476,8 +417,9 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
         (small_config(25), &[7, 3, 100][..], &files[..]),
         (rich_config(25), &[13, 100], &files[..2]),
     ] {
-        let ([whole, _], reports) = check_continued(stops, files, |run, progress, stop| {
-            train_until(run, &config, &waves(20), progress, stop).expect("trains")
+        let ([whole, _], reports) = check_continued(stops, files, |run, session| {
+            let report = train_motionrefit(run, &config, corpus(&waves(20)), session);
+            report.expect("trains")
         });
         assert!(!reports[0].is_complete);
         if config.run.optimizer.ema_decay.is_some() {
@@ -550,7 +492,14 @@ fn a_batch_in_parts_and_on_several_devices_is_the_whole_batch() {
         let mut config = small_config(10);
         config.run.micro_batch_size = Some(micro_batch_size);
         let dir = tempfile::tempdir().expect("a folder");
-        train_on(dir.path(), &config, &source, more_devices).expect("trains");
+        let trained = quietly(|session| {
+            let session = Session {
+                more_devices,
+                ..*session
+            };
+            train_motionrefit(dir.path(), &config, corpus(&source), &session)
+        });
+        trained.expect("trains");
         logged_losses(dir.path())
     };
     let whole = losses(8, &[]);
@@ -622,12 +571,6 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     let [raised, lowered] = HEIGHTS.map(|(text, _)| edit(text).expect("edits"));
     assert_ne!(raised, lowered);
     refused(edit("wave"), r#"lacks 1 texts, such as "wave""#);
-}
-
-/// Checks that the result is an error whose message contains `why`.
-fn refused<T>(result: Result<T, Error>, why: &str) {
-    let error = result.err().expect("refused").to_string();
-    assert!(error.contains(why), "{error}");
 }
 
 fn steps_done(run: &Path) -> u64 {
@@ -858,27 +801,11 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
 fn untrained_record() -> EditorRecord {
     EditorRecord {
         train: TrainConfig::preset(Preset::Tiny),
-        normalizer: Normalizer {
-            min: [-1.0; 3],
-            max: [1.0; 3],
-        },
+        normalizer: METRES,
         text: TextRecord::Learned(Vocabulary::build(["wave"], 1, 4).expect("valid")),
         compose: COMPOSE.clone(),
         extrapolation: None,
     }
-}
-
-/// Runs `act` with a session that reports nothing and never stops.
-fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
-    watched(&NoProgress, &AtomicBool::new(false), act)
-}
-
-fn watched<T>(
-    progress: &dyn Progress,
-    stop: &AtomicBool,
-    act: impl FnOnce(&Session<'_>) -> T,
-) -> T {
-    support::on(&Device::flex(), progress, stop, act)
 }
 
 /// Checks that the checkpoints of two runs have equal files.
@@ -914,19 +841,6 @@ fn edited(
     let made =
         quietly(|session| editor.edit_batch(items, &SKELETON, settings, session, &mut times));
     Ok((made?, times))
-}
-
-/// Settings with two windows at a time, without guidance.
-fn edit_settings(record: &EditorRecord) -> EditSettings {
-    EditSettings {
-        seed: Seed(5),
-        guidance: 1.0,
-        temperature: 1.0,
-        coordinator: record.train.coordinator,
-        fit: FitMethod::Exact,
-        prior: 0.0,
-        max_batch: 2,
-    }
 }
 
 /// A motion with one instruction for all of its frames.
@@ -1077,12 +991,11 @@ fn the_coordinator_learns_what_was_composed() {
     config.run.micro_batch_size = Some(20);
     config.run.length = RunLength::of_steps(150);
     (config.run.val_every, config.val_windows) = (50, 64);
-    let normalizer = untrained_record().normalizer;
     let report = quietly(|session| {
         let segments = Segments {
             train: &Swings { first: 0 },
             val: &Swings { first: 2_000 },
-            normalizer,
+            normalizer: METRES,
             skeleton: &SKELETON,
             dataset_hash: "0",
             compose: &COMPOSE,

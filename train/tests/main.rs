@@ -9,3 +9,4 @@ mod oracle;
 mod precision;
 #[path = "../../tests/data/golden.rs"]
 mod recorded;
+mod shared;

@@ -1,30 +1,28 @@
 //! If the network is replaced by the true clean window, the editor reproduces the target. So seams in real edits are
 //! due to the network, not to the editor.
 
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
-
 use burn::tensor::{Device, Tensor, TensorData};
 use compose::ComposeConfig;
-use datasets_spec::{Fps, Motion, NoProgress, Pose, Seed, Skeleton};
+use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
 use glam::{DQuat, DVec3};
 use kinematics::canonical::{Anchor, FIXED_FRAMES, canonicalise};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation::from_axis_angle;
 use rand::RngExt;
 use rand_distr::StandardNormal;
+use train::Error;
 use train::compose::ComposeRecord;
 use train::config::{Preset, TrainConfig};
 use train::edit::Fit;
 use train::fit::{EditorRecord, TextRecord};
-use train::model::pass::Arithmetic;
 use train::sample::{
-    EditItem, EditSettings, EditWindow, FitMethod, TimedInstruction, WindowModel, WindowRequest,
-    edit_windows, reverse,
+    EditItem, EditSettings, EditWindow, FitMethod, TimedInstruction, WindowRequest, edit_windows,
+    reverse,
 };
 use train::schedule::Schedule;
 use train::vocabulary::Vocabulary;
-use train::{Error, Session};
+
+use crate::shared::{edit_settings, quietly};
 
 /// A body that walks along a curve, with its arms and one leg swinging. It is slow enough that splines through frames
 /// at 20/3 fps stay within 1 mm of the points' paths, and fast enough that the root moves 6 cm per frame.
@@ -143,10 +141,8 @@ impl Oracle<'_> {
             .flat_map(|frame| normalizer.normalize(&frame))
             .collect()
     }
-}
 
-impl WindowModel for Oracle<'_> {
-    fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
+    fn generate(&self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
         let device = Device::flex();
         let diffusion = &self.record.train.diffusion;
         let schedule = Schedule::new(diffusion.schedule, diffusion.num_steps)?;
@@ -203,29 +199,20 @@ fn edited(
     let items = [item.expect("cut")];
     let settings = EditSettings {
         seed: Seed(1),
-        guidance: 1.0,
-        temperature: 1.0,
-        coordinator: record.train.coordinator,
-        fit: FitMethod::Exact,
-        prior: 0.0,
         max_batch: 8,
+        ..edit_settings(record)
     };
-    let mut oracle = Oracle {
+    let oracle = Oracle {
         record,
         target,
         end_secs: Fps::STORE.secs_at(num_frames - 1),
         is_continued,
         skeleton: &skeleton,
     };
-    let session = Session {
-        device: &Device::flex(),
-        more_devices: &[],
-        arithmetic: Arithmetic::default(),
-        progress: &NoProgress,
-        stop: &AtomicBool::new(false),
-        clock: &|| Duration::ZERO,
-    };
-    let edited = edit_windows(&mut oracle, record, &items, &skeleton, &settings, &session);
+    let edited = quietly(|session| {
+        let generate = &mut |requests: &mut [WindowRequest<'_>]| oracle.generate(requests);
+        edit_windows(generate, record, &items, &skeleton, &settings, session)
+    });
     let fit = Fit {
         method: FitMethod::Exact,
         prior: 0.0,

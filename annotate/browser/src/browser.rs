@@ -83,13 +83,9 @@ fn element(selector: &str) -> String {
 }
 
 impl Browser {
-    /// Starts a driver and a browser with a window of 1280 by 900 pixels.
-    pub fn start(graphics: Graphics) -> Self {
-        Self::start_with(graphics, &[])
-    }
-
-    /// Starts a browser with extra command-line arguments, such as the settings of a user's system.
-    pub fn start_with(graphics: Graphics, more: &[&str]) -> Self {
+    /// Starts a driver and a browser with a window of 1280 by 900 pixels. `more` are extra command-line arguments, such
+    /// as the settings of a user's system.
+    pub fn start(graphics: Graphics, more: &[&str]) -> Self {
         let mut driver = Command::new("chromedriver");
         driver.arg("--port=0").stderr(Stdio::null());
         // The driver draws a port, and ends if another process holds that port. Each start draws another one.

@@ -129,13 +129,8 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts a server on a free port.
-    pub fn start(dataset: &Dataset) -> Self {
-        Self::start_with(dataset, None)
-    }
-
-    /// Starts a server that asks a language model for drafts.
-    pub fn start_with(dataset: &Dataset, model: Option<String>) -> Self {
+    /// Starts a server on a free port. It asks the language model at the address `model` for drafts, if there is one.
+    pub fn start(dataset: &Dataset, model: Option<String>) -> Self {
         let mut server = Self {
             program: None,
             port: free_port(),

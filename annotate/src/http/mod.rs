@@ -83,7 +83,7 @@ impl Server {
         if let Some(clock) = store.clock()? {
             config.clock = clock;
         }
-        crate::jobs::abandon(store.as_ref(), (config.clock)())?;
+        store.abandon((config.clock)())?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .max_blocking_threads(128)

@@ -201,16 +201,12 @@ impl Taking<'_> {
 
     /// Writes an answer that is not based on the current revision to the log, without making it a revision.
     fn stale(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
-        let mut problem = Problem::new(
-            Code::StaleRevision,
-            format!(
-                "this change is based on revision {}, but {rev} is current; both are in the log",
-                self.event.base_rev
-            ),
+        let detail = format!(
+            "this change is based on revision {}, but {rev} is current; both are in the log",
+            self.event.base_rev
         );
-        if let Some(mine) = &self.mine {
-            problem = problem.with_theirs(mine.clone());
-        }
+        let mut problem = Problem::new(Code::StaleRevision, detail);
+        problem.theirs = self.mine.clone().map(Box::new);
         let body = self.draft(answer, rev, 0.0, Some(Code::StaleRevision));
         self.log(tx, Some(self.event.lease_epoch), body, Some(problem), None)
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer};
 
 use super::db::{Params, Result, ToSql, Tx, params};
 use super::filter::{self, Values, condition};
@@ -11,18 +12,22 @@ use super::records::TaskRecord;
 use super::rows::{self, REVISION, TASK};
 use super::store::Store;
 use crate::Error;
+use crate::groups::grouped;
 use crate::wire::{
     AnswerBrief, DecisionRow, Decisions, Revision, TaskFilter, TaskPage, TaskRow, TaskSort,
 };
 
 /// Query of a page of the task browser.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default)]
 pub struct PageQuery {
     /// The tasks to list.
+    #[serde(skip)]
     pub filter: TaskFilter,
     /// Order; by id if missing.
     pub sort: Option<TaskSort>,
     /// Whether to reverse the order.
+    #[serde(deserialize_with = "flag")]
     pub reverse: bool,
     /// Cursor of the previous page.
     pub after: Option<String>,
@@ -30,8 +35,13 @@ pub struct PageQuery {
     pub limit: usize,
 }
 
+/// Reads a number that sets a flag unless it is 0.
+fn flag<'de, D: Deserializer<'de>>(number: D) -> Result<bool, D::Error> {
+    Ok(i64::deserialize(number)? != 0)
+}
+
 /// Query of a page of decisions.
-#[derive(Clone, Debug, Default, serde::Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DecisionQuery {
     /// Only decisions of this reviewer.
@@ -154,11 +164,8 @@ fn by_task<T: DeserializeOwned>(
 ) -> Result<ByTask<T>> {
     let places: Vec<String> = (1..=tasks.len()).map(|place| format!("?{place}")).collect();
     let ids: Vec<_> = tasks.iter().map(|task| &task.id as &dyn ToSql).collect();
-    let mut all = ByTask::new();
-    for (task, one) in tx.list(&sql.replace("{}", &places.join(", ")), &ids)? {
-        all.entry(task).or_default().push(one);
-    }
-    Ok(all)
+    let sql = sql.replace("{}", &places.join(", "));
+    Ok(grouped(tx.list::<(i64, T)>(&sql, &ids)?))
 }
 
 /// Rows of the browser. Each table is read once for all rows.

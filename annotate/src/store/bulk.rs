@@ -88,7 +88,7 @@ fn bulk(
                 done.done += 1;
                 if act {
                     log::note(tx, now, Some(who), Some(one.task.id), body)?;
-                    leases::free_of_the_disabled(tx, one.task.id, Some(who), now)?;
+                    leases::free_of_the_disabled(tx, &turn, one.task.id)?;
                 }
             }
             Err(reason) => *done.left_alone.entry(reason.to_owned()).or_default() += 1,

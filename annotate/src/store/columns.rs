@@ -6,6 +6,15 @@ use serde::de::{DeserializeSeed, Deserializer, Error as _, IntoDeserializer, Seq
 use serde::forward_to_deserialize_any;
 use serde_json::{Error, Result};
 
+/// Methods of a [`Deserializer`] for types that are read from a column of numbers.
+macro_rules! numbers {
+    ($($method:ident)+) => { $(
+        fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
+            self.number(visitor)
+        }
+    )+ };
+}
+
 /// The unread columns of a row.
 pub(super) struct Columns<'de>(pub(super) std::slice::Iter<'de, Value>);
 
@@ -56,21 +65,7 @@ impl<'de> Deserializer<'de> for &mut Columns<'de> {
         }
     }
 
-    fn deserialize_i64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        self.number(visitor)
-    }
-
-    fn deserialize_u32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        self.number(visitor)
-    }
-
-    fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        self.number(visitor)
-    }
-
-    fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        self.number(visitor)
-    }
+    numbers!(deserialize_i64 deserialize_u32 deserialize_u64 deserialize_f64);
 
     fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
         visitor.visit_borrowed_str(self.text()?)

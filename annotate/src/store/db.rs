@@ -152,23 +152,8 @@ pub(crate) trait Database: Send + Sync {
     }
 }
 
-/// [`Database::write`] with a value as its result.
-pub(crate) fn write<T: Send + 'static>(
-    db: &dyn Database,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
-) -> Result<T> {
-    with_value(|work| db.write(work), work)
-}
-
-/// [`Database::read`] with a value as its result.
-pub(crate) fn read<'a, T: Send + 'a>(
-    db: &dyn Database,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'a,
-) -> Result<T> {
-    with_value(|work| db.read(work), work)
-}
-
-fn with_value<'a, T: Send + 'a>(
+/// [`Database::read`] or [`Database::write`], which `run` calls, with a value as its result.
+pub(crate) fn with_value<'a, T: Send + 'a>(
     run: impl FnOnce(Work<'a>) -> Result<()>,
     work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'a,
 ) -> Result<T> {

@@ -236,35 +236,20 @@ pub(crate) enum Body {
 }
 
 impl Body {
+    /// The kind with the name of this variant.
     pub(crate) fn kind(&self) -> LogKind {
-        match self {
-            Self::Imported { .. } => LogKind::Imported,
-            Self::Filled { .. } => LogKind::Filled,
-            Self::ClipChanged { .. } => LogKind::ClipChanged,
-            Self::ClipKept => LogKind::ClipKept,
-            Self::Claimed { .. } => LogKind::Claimed,
-            Self::Renewed { .. } => LogKind::Renewed,
-            Self::Released { .. } => LogKind::Released,
-            Self::DraftSaved { .. } => LogKind::DraftSaved,
-            Self::Submitted { .. } => LogKind::Submitted,
-            Self::Skipped { .. } => LogKind::Skipped,
-            Self::Returned { .. } => LogKind::Returned,
-            Self::Accepted { .. } => LogKind::Accepted,
-            Self::Merged { .. } => LogKind::Merged,
-            Self::Dropped { .. } => LogKind::Dropped,
-            Self::Reopened { .. } => LogKind::Reopened,
-            Self::Undone { .. } => LogKind::Undone,
-            Self::SuggestionUsed { .. } => LogKind::SuggestionUsed,
-            Self::GoldScored { .. } => LogKind::GoldScored,
-            Self::RoleChanged { .. } => LogKind::RoleChanged,
-            Self::SettingsChanged { .. } => LogKind::SettingsChanged,
-            Self::Exported { .. } => LogKind::Exported,
-            Self::Assigned { .. } => LogKind::Assigned,
-            Self::Retargeted { .. } => LogKind::Retargeted,
-            Self::CapturesPlanned { .. } => LogKind::CapturesPlanned,
-            Self::GuidePicture { .. } => LogKind::GuidePicture,
-            Self::ParaphraseJudged { .. } => LogKind::ParaphraseJudged,
+        macro_rules! kind_of {
+            ($body:expr, $($name:ident)+) => {
+                match $body { $(Self::$name { .. } => LogKind::$name,)+ }
+            };
         }
+        kind_of!(
+            self,
+            Imported Filled ClipChanged ClipKept Claimed Renewed Released DraftSaved Submitted
+            Skipped Returned Accepted Merged Dropped Reopened Undone SuggestionUsed GoldScored
+            RoleChanged SettingsChanged Exported Assigned Retargeted CapturesPlanned GuidePicture
+            ParaphraseJudged
+        )
     }
 
     /// Seconds of work that an answer, skip or review reports, and the hash of its request. In older logs, skips and

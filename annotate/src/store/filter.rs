@@ -114,13 +114,17 @@ fn skipped(by: SkipFilter) -> String {
 
 /// The SQL condition for tasks whose answers, clips or own fields contain a text.
 fn contains(text: &str, values: &mut Values) -> String {
+    // Captions are a list in JSON, where quotation marks and backslashes are escaped.
+    let quoted = serde_json::Value::from(text).to_string();
+    let in_captions = values.put(like(&quoted[1..quoted.len() - 1]));
     let like = values.put(like(text));
-    let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
+    let matches = |column: &str, like: &str| format!("{column} LIKE {like} ESCAPE '\\'");
+    let fits = |column: &str| matches(column, &like);
     let clip = |hash: &str| {
         format!(
             "EXISTS (SELECT 1 FROM motion m WHERE m.hash = {hash} AND ({} OR {}))",
             fits("lower(m.id)"),
-            fits("lower(m.captions)")
+            matches("lower(m.captions)", &in_captions)
         )
     };
     let any = [

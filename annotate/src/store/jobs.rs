@@ -13,6 +13,8 @@ use crate::wire::Job;
 const JOBS: i64 = 100;
 /// Bytes of a file written per transaction.
 const FILE_PART: u64 = 1 << 20;
+/// Milliseconds without a report after which a running job counts as lost.
+const SILENT: Millis = 60_000;
 
 impl Store {
     /// Stores a job, with `now` as the time of its last report; id 0 creates a new one.
@@ -79,9 +81,9 @@ impl Store {
         })
     }
 
-    /// Marks running jobs as failed if their server last reported them before `since`.
-    pub fn abandon(&self, since: Millis, now: Millis) -> Result<()> {
-        let is_lost = move |job: &Job| job.state == "running" && job.heartbeat < since;
+    /// Marks the jobs of stopped servers as failed: running jobs without a report for a minute.
+    pub fn abandon(&self, now: Millis) -> Result<()> {
+        let is_lost = move |job: &Job| job.state == "running" && job.heartbeat < now - SILENT;
         if !self.jobs()?.iter().any(is_lost) {
             return Ok(());
         }

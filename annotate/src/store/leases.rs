@@ -10,7 +10,7 @@ use super::{log, project};
 use crate::Error;
 use crate::clock::DAY;
 use crate::state::{Purpose, ReleaseReason};
-use crate::wire::{Code, Lease, Role, Settings, TaskState};
+use crate::wire::{Code, Lease, Role, Settings};
 
 /// Maximum number of expired leases that one claim ends.
 const EXPIRED_AT_ONCE: i64 = 200;
@@ -27,9 +27,9 @@ impl Store {
             let held = lease_of_id(tx, lease)?.filter(|held| held.lease.user == user);
             let problem = "this lease ended; take the task again if it still wants answers";
             let held = held.ok_or_else(|| Error::refused(Code::LeaseLost, problem))?;
-            // A reservation for an author cannot be renewed.
+            // A reservation for one person cannot be renewed.
             if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
-                return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
+                return Err(Error::wrong_state(held.purpose, "renewed; claim it"));
             }
             Turn::of(tx, user, now)?.prolong_bundle(tx, &held)
         })
@@ -131,16 +131,12 @@ pub(super) fn end(
 }
 
 /// Ends the reservations of a task for people who were disabled, so that others can take it.
-pub(super) fn free_of_the_disabled(
-    tx: &mut dyn Tx,
-    task: i64,
-    actor: Option<i64>,
-    now: Millis,
-) -> Result<()> {
+pub(super) fn free_of_the_disabled(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<()> {
     let from = "lease l JOIN usr u ON u.id = l.usr
          WHERE l.task = ?1 AND l.purpose = 'returned' AND u.active = 0 ORDER BY l.id";
     for held in rows::leases(tx, from, params![task])? {
-        end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
+        let actor = Some(turn.user);
+        end(tx, &held, actor, ReleaseReason::TakenAway, turn.now)?;
     }
     Ok(())
 }

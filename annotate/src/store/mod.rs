@@ -79,23 +79,14 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
-/// Opens a store on PostgreSQL, creating its tables in the schema if needed. A store of an older version is copied,
-/// then upgraded ([`Store::upgrade`]).
+/// Opens a store on PostgreSQL, creating its tables in the schema if there are none and `may_create` is set. A store of
+/// an older version is copied, then upgraded ([`Store::upgrade`]).
 ///
 /// # Errors
-/// The server cannot be reached, or its tables are of a newer version.
+/// The server cannot be reached, or its tables are of a newer version. [`Error::Missing`](crate::Error::Missing) if
+/// there is no store and none may be created.
 #[cfg(feature = "postgres")]
-pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
-    let (db, upgrade) = postgres::open(url, schema, postgres::IfMissing::Create)?;
-    Ok(Arc::new(Store::new(Box::new(db), upgrade)))
-}
-
-/// Opens a store on PostgreSQL as [`open_postgres`] does, but creates none.
-///
-/// # Errors
-/// [`Error::Missing`](crate::Error::Missing) if there is no store, or as for [`open_postgres`].
-#[cfg(feature = "postgres")]
-pub fn open_existing_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
-    let (db, upgrade) = postgres::open(url, schema, postgres::IfMissing::Refuse)?;
+pub fn open_postgres(url: &str, schema: &str, may_create: bool) -> Result<Arc<Store>> {
+    let (db, upgrade) = postgres::open(url, schema, may_create)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

@@ -53,18 +53,12 @@ fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
     }
 }
 
-/// Whether to create the tables of a store where there are none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum IfMissing {
-    Create,
-    Refuse,
-}
-
-/// Connects to a store; `missing` says what to do if there is none. Also returns the upgrade, if one was made.
+/// Connects to a store; `may_create` says whether to create one if there is none. Also returns the upgrade, if one was
+/// made.
 pub(crate) fn open(
     url: &str,
     schema: &str,
-    missing: IfMissing,
+    may_create: bool,
 ) -> Result<(Pool<Postgres>, Option<Upgrade>)> {
     let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if schema.is_empty() || !schema.chars().all(plain) {
@@ -76,7 +70,7 @@ pub(crate) fn open(
         schema: schema.to_owned(),
     };
     let mut writer = postgres.connect(true)?;
-    if missing == IfMissing::Refuse && version(&mut writer, schema)?.is_none() {
+    if !may_create && version(&mut writer, schema)?.is_none() {
         return Err(Error::Missing {
             place: format!("on PostgreSQL at {}", postgres.place()),
         });
@@ -124,11 +118,8 @@ fn version(tx: &mut dyn Tx, schema: &str) -> Result<Option<i64>> {
 fn copy_schema(tx: &mut dyn Tx, schema: &str, version: i64) -> Result<String> {
     let mut copy = format!("{schema}_version_{version}");
     let mut number = 1;
-    while tx.number(
-        "SELECT COUNT(*) FROM information_schema.schemata WHERE schema_name = ?1",
-        params![&copy],
-    )? > 0
-    {
+    let taken = "SELECT 1 FROM information_schema.schemata WHERE schema_name = ?1";
+    while tx.has(taken, params![&copy])? {
         number += 1;
         copy = format!("{schema}_version_{version}_{number}");
     }

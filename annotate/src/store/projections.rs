@@ -5,29 +5,16 @@ use super::entry::Entry;
 use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::Purpose;
-use crate::wire::{Answer, EditType, Lease, TaskState, Verdict};
+use crate::wire::{Answer, EditType, Lease, TaskKind, TaskState, Verdict};
 
 /// Whether an answer keeps a fine-grained pair, which counts toward the quota of its category.
 pub(super) fn is_kept_pair(answer: &Answer) -> bool {
-    matches!(
-        answer,
-        Answer::Pair {
-            verdict: Verdict::Keep,
-            ..
-        }
-    )
+    answer.kind() == TaskKind::Pair && answer.verdict() == Some(Verdict::Keep)
 }
 
 /// The edit type of an answer that keeps a fine-grained pair, if it states one.
 pub(super) fn kept_type(answer: &Answer) -> Option<EditType> {
-    match answer {
-        Answer::Pair {
-            verdict: Verdict::Keep,
-            edit_type,
-            ..
-        } => *edit_type,
-        _ => None,
-    }
+    answer.fields().edit_type.filter(|_| is_kept_pair(answer))
 }
 
 /// The acceptance of an answer.

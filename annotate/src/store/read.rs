@@ -413,7 +413,8 @@ pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) ->
         category: task.category,
         hint: task.hint,
         style: task.style,
-        wanted: task.wanted,
+        // Any number of people may answer a gold task, each once.
+        wanted: if task.gold.is_some() { 1 } else { task.wanted },
         submitted: task.submitted,
         bundle,
         practice: task.practice,

@@ -163,12 +163,8 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
     let task = rows::task(tx, id)?;
     let lease = rows::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
     let mut candidates = answers_to(tx, id)?;
-    candidates.retain(|(own, _)| {
-        matches!(
-            own.state,
-            RevisionState::Submitted | RevisionState::Returned
-        )
-    });
+    let undecided = [RevisionState::Submitted, RevisionState::Returned];
+    candidates.retain(|(own, _)| undecided.contains(&own.state));
     let sql = "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq";
     Ok(ReviewDetail {
         task,
@@ -327,7 +323,7 @@ impl Deciding<'_> {
             Ok(ReviewDone { seq, state })
         })?;
         // Reservations exist only once the decision is applied and stored.
-        leases::free_of_the_disabled(tx, id, actor, self.turn.now)?;
+        leases::free_of_the_disabled(tx, &self.turn, id)?;
         let state = rows::task(tx, id)?.state;
         Ok(ReviewDone { state, ..done })
     }

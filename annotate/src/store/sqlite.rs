@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use rusqlite::functions::FunctionFlags;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 
 use super::db::{Params, Result, Row, Tx, not_opened, read_only};
@@ -161,6 +162,13 @@ impl Backend for Sqlite {
         db.busy_timeout(BUSY).map_err(refuse)?;
         db.set_prepared_statement_cache_capacity(STATEMENTS);
         db.execute_batch(&settings).map_err(refuse)?;
+        // SQLite's own lower() knows ASCII letters alone.
+        let flags = FunctionFlags::SQLITE_UTF8 | FunctionFlags::SQLITE_DETERMINISTIC;
+        db.create_scalar_function("lower", 1, flags, |values| {
+            let text = values.get::<Option<String>>(0)?;
+            Ok(text.map(|text| text.to_lowercase()))
+        })
+        .map_err(refuse)?;
         Ok(db)
     }
 
@@ -268,27 +276,23 @@ fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
 
 /// Decodes a path of the mount table, in which blanks and backslashes are octal escapes.
 fn unescaped(text: &str) -> String {
-    [
-        ("\\040", " "),
-        ("\\011", "\t"),
-        ("\\012", "\n"),
-        ("\\134", "\\"),
-    ]
-    .iter()
-    .fold(text.to_owned(), |text, (escape, plain)| {
-        text.replace(escape, plain)
-    })
+    text.replace("\\040", " ")
+        .replace("\\011", "\t")
+        .replace("\\012", "\n")
+        .replace("\\134", "\\")
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::db;
-    use super::super::project;
+    use std::sync::Arc;
+
+    use super::super::store::Store;
+    use super::super::{open_sqlite, project};
     use super::*;
 
-    fn store() -> (tempfile::TempDir, Pool<Sqlite>) {
+    fn store() -> (tempfile::TempDir, Arc<Store>) {
         let dir = tempfile::tempdir().expect("a folder");
-        let (store, _) = open(&dir.path().join("s.sqlite")).expect("opens");
+        let store = open_sqlite(&dir.path().join("s.sqlite")).expect("opens");
         (dir, store)
     }
 
@@ -297,9 +301,9 @@ mod tests {
         move |tx| project::put(tx, &name, "")
     }
 
-    fn names(store: &Pool<Sqlite>) -> Vec<String> {
+    fn names(store: &Store) -> Vec<String> {
         let sql = "SELECT name FROM setting WHERE name <> 'id' ORDER BY name";
-        db::read(store, |tx| tx.list(sql, &[])).expect("reads")
+        store.read(|tx| tx.list(sql, &[])).expect("reads")
     }
 
     #[test]
@@ -309,7 +313,7 @@ mod tests {
             for index in 0..32 {
                 let store = &store;
                 scope.spawn(move || {
-                    let outcome = db::write(store, move |tx| {
+                    let outcome = store.write(move |tx| {
                         put(&format!("{index:02}"))(tx)?;
                         if index % 2 == 1 {
                             return Err(Error::not_found("thing"));
@@ -320,27 +324,25 @@ mod tests {
                 });
             }
         });
-        let outcome = db::write(&store, |tx| {
+        let outcome = store.write(|tx| {
             put("a")(tx)?;
             panic!("a defect")
         });
         assert!(matches!(outcome, Err::<(), _>(Error::Closed)));
-        db::write(&store, put("b")).expect("the writer goes on");
+        store.write(put("b")).expect("the writer goes on");
         let mut expected: Vec<String> = (0..32).step_by(2).map(|i| format!("{i:02}")).collect();
         expected.push("b".to_owned());
         assert_eq!(names(&store), expected);
     }
 
-    fn pragma(store: &Pool<Sqlite>, sql: &'static str) {
-        db::write(store, move |tx| tx.query(sql, &[])).expect("a pragma");
+    fn pragma(store: &Store, sql: &'static str) {
+        store.write(move |tx| tx.query(sql, &[])).expect("a pragma");
     }
 
     /// Writes a row that takes a few pages.
-    fn put_much(store: &Pool<Sqlite>, name: &str) -> Result<()> {
+    fn put_much(store: &Store, name: &str) -> Result<()> {
         let name = name.to_owned();
-        db::write(store, move |tx| {
-            project::put(tx, &name, &"x".repeat(20_000))
-        })
+        store.write(move |tx| project::put(tx, &name, &"x".repeat(20_000)))
     }
 
     #[test]
@@ -377,11 +379,11 @@ mod tests {
         pragma(&store, "PRAGMA busy_timeout=0");
         let other = Connection::open(dir.path().join("s.sqlite")).expect("a second connection");
         other.execute_batch("BEGIN IMMEDIATE").expect("a lock");
-        let locked = db::write(&store, put("new")).expect_err("the file is locked");
+        let locked = store.write(put("new")).expect_err("the file is locked");
         other.execute_batch("ROLLBACK").expect("unlocks");
-        db::write(&store, put("new")).expect("writes again");
+        store.write(put("new")).expect("writes again");
         pragma(&store, "PRAGMA query_only=ON");
-        let read_only = db::write(&store, put("more")).expect_err("it is read-only");
+        let read_only = store.write(put("more")).expect_err("it is read-only");
         assert!(matches!(read_only, Error::ReadOnly { .. }));
         assert_eq!(names(&store), ["new"]);
         for (error, words) in [
@@ -413,18 +415,18 @@ mod tests {
             let kept = &log[..log.len() - cut * log.len() / 8];
             std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
             // The database file is still empty. If the cut removes the first transaction, the tables are created again.
-            let (reopened, _) = open(&path).expect("opens without repair");
+            let reopened = open_sqlite(&path).expect("opens without repair");
             let found = names(&reopened);
             assert_eq!(found, written[..found.len()], "a prefix, in order");
             assert_eq!(cut == 0, found.len() == written.len());
-            db::write(&reopened, put("later")).expect("goes on");
+            reopened.write(put("later")).expect("goes on");
         }
     }
 
     #[test]
     fn the_log_takes_no_changes() {
         let (_dir, store) = store();
-        let run = |sql: &'static str| db::write(&store, move |tx| tx.execute(sql, &[]));
+        let run = |sql: &'static str| store.write(move |tx| tx.execute(sql, &[]));
         run("INSERT INTO event (seq, at, kind, body, version) VALUES (1, 0, 'imported', '{}', 1)")
             .expect("inserts");
         for sql in ["UPDATE event SET at = 1", "DELETE FROM event"] {

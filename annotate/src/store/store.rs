@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::db::{self, Database, Result, Tx};
+use super::db::{Database, Result, Tx, with_value};
 use crate::clock::{self, Clock};
 
 /// An upgrade of a store's tables, made when the store was opened.
@@ -41,25 +41,19 @@ impl Store {
         &self,
         work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
     ) -> Result<T> {
-        db::write(self.db.as_ref(), work)
+        with_value(|work| self.db.write(work), work)
     }
 
     pub(super) fn read<T: Send>(
         &self,
         work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send,
     ) -> Result<T> {
-        db::read(self.db.as_ref(), work)
+        with_value(|work| self.db.read(work), work)
     }
 
     /// Whether servers on several machines can use the store. If so, it also keeps the files of their exports.
     pub(crate) fn is_shared(&self) -> bool {
         self.db.time().is_some()
-    }
-
-    /// Changes rows without a log entry, for tests of how this is detected.
-    #[cfg(test)]
-    pub(super) fn damage(&self, sql: &'static str) -> Result<u64> {
-        self.write(move |tx| tx.execute(sql, &[]))
     }
 
     /// A read-only snapshot of the store: later writes do not appear in it.

@@ -11,6 +11,7 @@ use super::keys::{CANDIDATE, PAIR, task};
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::Fields;
+use crate::groups::grouped;
 use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, CountReason, EditType, Extent, MaskAnswer, TaskKind, Verdict};
 
@@ -28,13 +29,10 @@ pub fn from_annotations(
     now: Millis,
 ) -> Result<Taken, Error> {
     let motions = known_motions(store)?;
-    let rows: Vec<AnnotationRow> = read_rows(path)?;
+    let rows = read_rows::<AnnotationRow>(path)?.into_iter();
+    let mut groups = grouped(rows.map(|row| (row.task.clone(), row)));
     let mut taken = Taken::default();
     let (mut tasks, mut by_id) = (Vec::new(), 0);
-    let mut groups: BTreeMap<String, Vec<AnnotationRow>> = BTreeMap::new();
-    for row in rows {
-        groups.entry(row.task.clone()).or_default().push(row);
-    }
     let is_known = |row: &AnnotationRow| {
         let mut named = std::iter::once(&row.motion_id).chain(&row.target_id);
         named.all(|id| motions.contains_key(id))
@@ -96,12 +94,8 @@ fn annotation_task(
     new.category.clone_from(&first.category);
     new.hint.clone_from(&first.hint);
     new.style.clone_from(&first.source_style);
-    new.extra = first
-        .extra
-        .as_ref()
-        .map(|text| serde_json::from_str(text))
-        .transpose()
-        .map_err(|error| error.to_string())?;
+    let extra = first.extra.as_deref().map(serde_json::from_str);
+    new.extra = extra.transpose().map_err(|error| error.to_string())?;
     rows.iter().try_for_each(check_masks)?;
     let answer = answer(rows, kind)?;
     crate::answer::check_draft(&answer, kind)

@@ -8,6 +8,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 
 use super::keys::{CANDIDATE, task};
 use crate::Error;
+use crate::groups::grouped;
 use crate::store::{MotionRecord, NewTask, Store};
 use crate::wire::{BUNDLE, TaskKind};
 
@@ -83,13 +84,11 @@ pub(super) fn candidates(
         !known.contains(&(source.id.as_str(), target.id.as_str()))
             && judged.is_none_or(|key| *key == candidate_key(source, target))
     };
-    let mut groups: BTreeMap<(&str, &str), Vec<&Clip>> = BTreeMap::new();
-    for &clip in chosen.iter().filter(|clip| !clip.mirrored) {
-        if let Some(action) = &clip.record.action {
-            let group = (clip.record.split.as_str(), action.as_str());
-            groups.entry(group).or_default().push(clip);
-        }
-    }
+    let originals = chosen.iter().filter(|clip| !clip.mirrored);
+    let groups = grouped(originals.filter_map(|&clip| {
+        let action = clip.record.action.as_deref()?;
+        Some(((clip.record.split.as_str(), action), clip))
+    }));
     let mut takes: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
     for ((split, action), mut group) in groups {
         group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));

@@ -12,6 +12,7 @@ use super::clips::{Clip, candidates, clips};
 use super::keys::{PAIR_SOURCE, mask_key, pair_key, task};
 use crate::Error;
 use crate::answer::{Fields, completion};
+use crate::groups::grouped;
 use crate::mask::entered;
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{
@@ -241,12 +242,8 @@ fn without_copies<'a>(
 
 /// Masks by the id of their motion.
 fn by_motion(masks: Vec<MaskRow>) -> BTreeMap<String, Vec<MaskRow>> {
-    let mut all: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
-    for mask in masks {
-        let id = mask.motion_id.to_string();
-        all.entry(id).or_default().push(mask);
-    }
-    all
+    let masks = masks.into_iter();
+    grouped(masks.map(|mask| (mask.motion_id.to_string(), mask)))
 }
 
 /// Mask tasks of the chosen clips, except mirrored copies and variants. The pairs of the whole dataset tell which clips

@@ -416,17 +416,14 @@ fn yes() -> bool {
 pub enum Answer {
     /// Answer to a task `mask_text`.
     MaskText {
-        /// The masks.
         masks: Vec<MaskAnswer>,
         /// Reason for fewer or more masks than the project wants.
         count_reason: Option<CountReason>,
-        /// Note.
         #[serde(default)]
         note: String,
     },
     /// Answer to a task `pair`.
     Pair {
-        /// Verdict.
         verdict: Verdict,
         /// Parts the edit changes.
         #[serde(default)]
@@ -438,18 +435,15 @@ pub enum Answer {
         text: String,
         /// The suggestion the text started from, if any.
         suggestion: Option<i64>,
-        /// Note.
         #[serde(default)]
         note: String,
     },
     /// Answer to a task `style`.
     Style {
-        /// Verdict.
         verdict: Verdict,
         /// Parts the style shows in.
         #[serde(default)]
         parts: Vec<String>,
-        /// The style.
         style: Option<String>,
         /// How much of the body shows the style.
         extent: Option<Extent>,
@@ -458,7 +452,6 @@ pub enum Answer {
         text: String,
         /// The suggestion the text started from, if any.
         suggestion: Option<i64>,
-        /// Note.
         #[serde(default)]
         note: String,
     },

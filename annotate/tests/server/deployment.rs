@@ -380,7 +380,10 @@ impl Pair {
             return None;
         };
         let schema = format!("d{}_{test}", std::process::id());
-        let open = || annotate::store::open_postgres(&url, &schema).expect("a store on PostgreSQL");
+        let open = || {
+            let opened = annotate::store::open_postgres(&url, &schema, true);
+            opened.expect("a store on PostgreSQL")
+        };
         let folder = tempfile::tempdir().expect("a folder");
         let root = folder.path().join("dataset");
         dataset(&root);
@@ -458,7 +461,7 @@ fn two_servers_share_the_clock_of_the_database_and_its_exports() {
 #[test]
 #[cfg(feature = "postgres")]
 fn a_store_on_postgresql_is_only_created_on_purpose() {
-    use annotate::store::{open_existing_postgres, open_postgres};
+    use annotate::store::open_postgres;
     let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
         crate::store::skipped("existing");
         return;
@@ -466,7 +469,7 @@ fn a_store_on_postgresql_is_only_created_on_purpose() {
     let schema = format!("d{}_existing", std::process::id());
     // The second try finds what the first one left.
     for _ in 0..2 {
-        let Err(missing) = open_existing_postgres(&url, &schema) else {
+        let Err(missing) = open_postgres(&url, &schema, false) else {
             panic!("there is a store");
         };
         assert!(matches!(missing, annotate::Error::Missing { .. }));
@@ -475,8 +478,10 @@ fn a_store_on_postgresql_is_only_created_on_purpose() {
             assert!(said.contains(part), "{said}");
         }
     }
-    let id = open_postgres(&url, &schema).expect("a new store").id();
-    let found = open_existing_postgres(&url, &schema).expect("the store");
+    let id = open_postgres(&url, &schema, true)
+        .expect("a new store")
+        .id();
+    let found = open_postgres(&url, &schema, false).expect("the store");
     assert_eq!(found.id().expect("an id"), id.expect("an id"));
 }
 
@@ -492,9 +497,9 @@ fn a_connection_to_postgresql_is_encrypted_and_its_certificate_checked() {
     // This server accepts only encrypted connections.
     let schema = format!("d{}_tls", std::process::id());
     let trusted = format!("{url}?sslmode=verify-full&sslrootcert={authority}");
-    let store = open_postgres(&trusted, &schema).expect("an encrypted store");
+    let store = open_postgres(&trusted, &schema, true).expect("an encrypted store");
     store.ready().expect("it answers");
-    let refused = |url: &str| match open_postgres(url, &schema) {
+    let refused = |url: &str| match open_postgres(url, &schema, true) {
         Ok(_) => panic!("{url} is taken"),
         Err(error) => error.to_string(),
     };

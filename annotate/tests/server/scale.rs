@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use annotate::store::{NewTask, PageQuery, TokenUse};
+use annotate::store::{MotionRecord, NewTask, PageQuery, TokenUse};
 use annotate::transfer::export;
 use annotate::wire::{
     Answer, BulkAction, BulkDone, BulkRequest, Code, Decision, EventKind, ExportFormat, MyAnswer,
@@ -13,8 +13,8 @@ use serde_json::{Value, json};
 
 use crate::store::{Fixture, each, mask_tasks, pair_tasks, problem};
 use crate::support::{
-    Client, DAY, HOUR, MINUTE, ROOT, START, Site, bare_task, decision, event, from_json, masks,
-    pair, refusal, rule,
+    Client, DAY, HOUR, MINUTE, ROOT, START, Site, bare_motion, bare_task, decision, event,
+    from_json, masks, pair, refusal, rule,
 };
 
 fn unclear() -> Answer {
@@ -286,6 +286,37 @@ fn the_browser_filters_by_everything_a_reviewer_asks_for_and_searches_texts_alon
     });
 }
 
+#[test]
+fn a_search_ignores_case_and_reads_captions_as_they_stand() {
+    each("search", Vec::new(), |site| {
+        let captions = ["Öffnen", "says \"Hi\", twice", r"a back\slash"];
+        let captions = captions.map(str::to_owned).to_vec();
+        let motion = MotionRecord {
+            captions,
+            ..bare_motion()
+        };
+        site.store.put_motions(vec![motion]).expect("a motion");
+        let hinted = NewTask {
+            hint: Some("ÉCHAPPER".to_owned()),
+            ..bare_task(0, TaskKind::MaskText)
+        };
+        site.import(vec![hinted]);
+        for (text, found) in [
+            ("öffnen", 1),
+            ("ÖFFNEN", 1),
+            ("échapper", 1),
+            ("\"hi\", TWICE", 1),
+            (r"back\slash", 1),
+            (r"back\\slash", 0),
+            ("\"", 1),
+            ("offnen", 0),
+            ("\",\"", 0),
+        ] {
+            assert_eq!(site.found(json!({ "q": text })).len(), found, "{text}");
+        }
+    });
+}
+
 /// All rows of the browser in an order, read in pages of four.
 fn paged(site: &Fixture, sort: TaskSort, reverse: bool) -> Vec<TaskRow> {
     let (mut after, mut seen) = (None, Vec::new());
@@ -469,6 +500,12 @@ fn an_assigned_task_goes_to_its_person_first_until_the_reservation_ends() {
         };
         assert_eq!(site.bulk(only_last).done, 1);
         assert_eq!(site.state(last), TaskState::Leased);
+        let held = site.store.leases(START).expect("leases");
+        let reserved = held.iter().find(|held| held.purpose == "assigned");
+        let reserved = reserved.expect("a reservation").lease.id;
+        let renewed = site.store.renew(site.bob, reserved, START);
+        let said = renewed.expect_err("it is reserved").to_string();
+        assert_eq!(said, "a task that is assigned cannot be renewed; claim it");
         assert_eq!(site.take(site.bob), last);
         let preview = site.preview(assign(site.bob));
         assert_eq!(preview.done, 3);
@@ -650,13 +687,8 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
         assert_ne!(site.claim_pair(site.eve), Some(practice), "no practice");
         let people = site.store.people().expect("people");
         assert!(people.iter().all(|person| person.gold_items == 0));
-        let done = |user: i64| {
-            people
-                .iter()
-                .find(|person| person.user.id == user)
-                .map(|person| person.done)
-        };
-        assert_eq!((done(site.ann), done(site.bob)), (Some(0), Some(1)));
+        let done = |user: i64| site.person(user).done;
+        assert_eq!([site.ann, site.bob].map(done), [0, 1]);
         let days = site.store.work(0, i64::MAX / 2).expect("days");
         let answers: i64 = days.iter().map(|day| day.answers).sum();
         assert_eq!(answers, 1, "that of Bob");
@@ -732,7 +764,7 @@ fn users_come_in_bulk_with_a_token_each_or_not_at_all() {
 fn the_routes_of_a_large_project_answer_as_documented() {
     use annotate::wire::{
         DayWork, Decisions, MyAnswers, NewUserLink, Outlook, Practice, RuleState, RulesApplied,
-        TaskFile, TaskPage,
+        Task, TaskFile, TaskPage,
     };
 
     let site = Site::new();
@@ -770,6 +802,12 @@ fn the_routes_of_a_large_project_answer_as_documented() {
     assert_eq!(days.iter().map(|day| day.answers).sum::<i64>(), 2);
     let outlook: Vec<Outlook> = eve.get("stats/outlook").ok();
     assert_eq!(outlook.len(), TaskKind::ALL.len());
+    for copy in ["gold", "practice"] {
+        let made: Task = boss
+            .post(&format!("tasks/{rejected}/{copy}"), &json!({}))
+            .ok();
+        assert_eq!(made.wanted, 1, "{copy}: a person is asked once");
+    }
     assert_eq!(eve.get("tasks?colour=red").code(), Code::BadRequest);
 }
 

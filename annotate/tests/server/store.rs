@@ -8,7 +8,7 @@ use annotate::store::{
 };
 use annotate::wire::{
     Answer, Code, Decision, Empty, EventKind, EventResult, Home, JointChoice, JointWeight, Lease,
-    MaskAnswer, NewEvent, NewReview, QueueInfo, ReviewQueue, RevisionState, Role, Settings,
+    MaskAnswer, NewEvent, NewReview, Person, QueueInfo, ReviewQueue, RevisionState, Role, Settings,
     SkipReason, TaskKind, TaskState, Verdict,
 };
 use datasets_spec::Seed;
@@ -16,7 +16,7 @@ use rand::RngExt;
 
 use crate::support::{
     DAY, HOUR, Hands, MINUTE, ROOT, START, all_keys, bare_motion, bare_task, decision, event, join,
-    masks, pair, plain_settings, refusal, role, say, set, whole,
+    masks, pair, plain_settings, refusal, role, say, set, who, whole,
 };
 
 /// Runs a test on a fresh store of each database.
@@ -35,7 +35,8 @@ pub(crate) fn on_postgres(test: &str, check: &dyn Fn(Arc<Store>)) {
                 std::process::id(),
                 test.replace(|c: char| !c.is_ascii_alphanumeric(), "_")
             );
-            check(annotate::store::open_postgres(&url, &schema).expect("a store on PostgreSQL"));
+            let opened = annotate::store::open_postgres(&url, &schema, true);
+            check(opened.expect("a store on PostgreSQL"));
         }
         Err(_) => skipped(test),
     }
@@ -134,15 +135,11 @@ impl Fixture {
     }
 
     pub(crate) fn who(&self, id: i64) -> Who {
-        Who {
-            id,
-            name: String::new(),
-            role: if id == self.eve {
-                Role::Reviewer
-            } else {
-                Role::Annotator
-            },
-        }
+        let role = match id == self.eve {
+            true => Role::Reviewer,
+            false => Role::Annotator,
+        };
+        who(id, role)
     }
 
     fn claimed(&self, user: i64, kind: TaskKind) -> Result<(TaskDetail, Vec<String>), Empty> {
@@ -177,6 +174,13 @@ impl Fixture {
     /// Claims a pair. Panics if there is none.
     pub(crate) fn take_pair(&self, user: i64) -> i64 {
         self.claim_pair(user).expect("a pair")
+    }
+
+    /// The row of a user in the table of people.
+    pub(crate) fn person(&self, user: i64) -> Person {
+        let mut people = self.store.people().expect("people").into_iter();
+        let found = people.find(|person| person.user.id == user);
+        found.expect("a person")
     }
 
     pub(crate) fn home(&self, user: i64) -> Home {
@@ -320,14 +324,6 @@ impl Fixture {
     /// Has the reviewer return the answer to the only task that waits.
     fn send_back(&self, task: i64) {
         assert_eq!(self.judge(Decision::Return), task);
-    }
-
-    /// Disables a user.
-    fn leave(&self, user: i64) {
-        let left = self
-            .store
-            .change_user(None, user, None, Some(false), self.now());
-        left.expect("leaves");
     }
 
     /// Gives back the lease that a user holds on a task.
@@ -506,7 +502,7 @@ fn a_return_concerns_those_who_had_answered_then_and_reserves_nothing_for_people
         site.import(mask_tasks(1));
         let task = site.answer(site.ann, "one");
         site.answer(site.bob, "another");
-        site.leave(site.bob);
+        site.enable(site.bob, false);
         site.send_back(task);
         let holders = site.store.leases(site.now()).expect("leases");
         let holders: Vec<i64> = holders.iter().map(|held| held.lease.user).collect();
@@ -514,11 +510,7 @@ fn a_return_concerns_those_who_had_answered_then_and_reserves_nothing_for_people
         let zoe = site.join("zoe", Role::Annotator);
         assert_eq!(site.answer(zoe, "a third"), task);
         assert_eq!(site.detail(zoe, task).comment, None);
-        let people = site.store.people().expect("people");
-        let returned = |user: i64| {
-            let found = people.iter().find(|person| person.user.id == user);
-            found.expect("a person").returned
-        };
+        let returned = |user: i64| site.person(user).returned;
         assert_eq!([site.ann, site.bob, zoe].map(returned), [1, 1, 0]);
         let decisions = site.store.task_row(task).expect("a task").1;
         assert_eq!(decisions[0].authors, ["ann", "bob"]);
@@ -707,9 +699,7 @@ fn gold_tasks_look_like_others_and_are_scored() {
         let submitted = (TaskState::Submitted, 1, 1);
         assert_eq!(seen(gold), submitted);
         assert_eq!(seen(site.answer(site.bob, "other")), submitted);
-        let people = site.store.people().expect("people");
-        let bob = people.iter().find(|person| person.user.id == site.bob);
-        let bob = bob.expect("bob");
+        let bob = site.person(site.bob);
         assert_eq!((bob.gold_items, bob.gold_score), (1, Some(1.0)));
         let counts = site.store.funnel().expect("counts");
         let counted: i64 = counts.iter().map(|row| row.2).sum();

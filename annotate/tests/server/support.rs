@@ -8,7 +8,7 @@ use annotate::Error;
 use annotate::http::{PATIENCE, Server, ServerConfig, UPLOAD_PATIENCE};
 use annotate::motions::MotionLibrary;
 use annotate::store::{
-    KeyRange, MotionRecord, NewTask, ReviewDetail, Store, TaskDetail, TokenUse, open_sqlite,
+    KeyRange, MotionRecord, NewTask, ReviewDetail, Store, TaskDetail, TokenUse, Who, open_sqlite,
 };
 use annotate::transfer::from_dataset;
 use annotate::wire::{
@@ -229,6 +229,21 @@ pub(crate) fn role(name: &str) -> Role {
 pub(crate) fn join(store: &Store, name: &str, role: Role) -> i64 {
     let user = store.add_user(None, name, role, START);
     user.expect("a user").id
+}
+
+/// The id of a user by name.
+pub(crate) fn user_id(store: &Store, name: &str) -> i64 {
+    let mut users = store.users().expect("users").into_iter();
+    users.find(|user| user.name == name).expect("a user").id
+}
+
+/// The user of a request.
+pub(crate) fn who(id: i64, role: Role) -> Who {
+    Who {
+        id,
+        name: String::new(),
+        role,
+    }
 }
 
 pub(crate) fn person(store: &Store, base: &str, name: &str, now: i64) -> Client {

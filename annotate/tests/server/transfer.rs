@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use annotate::store::{MotionRecord, NewTask, Store, TaskRecord, Who, open_sqlite};
+use annotate::store::{Imported, MotionRecord, NewTask, Store, TaskRecord, open_sqlite};
 use annotate::transfer::{
     AnnotationRow, EventRow, Exported, LabelRow, RejectRow, Taken, export, from_annotations,
     from_dataset, from_release,
@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use crate::support::{
     CLIPS, Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, claim, commit, decision,
     event_of, from_json, join, masks, motion, motion_row, pair, peak_memory_mb, plain_settings,
-    read, review, rule, say, set, style, tell, whole,
+    read, review, rule, say, set, style, tell, user_id, who, whole,
 };
 
 pub(crate) fn finished(boss: &Client, id: i64) -> Job {
@@ -76,8 +76,9 @@ fn write(site: &Site, store: &Store, folder: &str, format: ExportFormat) -> Path
     folder
 }
 
-fn commit_answers(site: &Site, store: &Store) {
-    write(site, store, "unused", ExportFormat::Dataset);
+fn commit_answers(site: &Site, store: &Store) -> Exported {
+    let folder = site.folder.path().join("unused");
+    write_to(site, store, &folder, ExportFormat::Dataset)
 }
 
 fn rows<R: Row>(folder: &Path, table: &str) -> Vec<R> {
@@ -154,18 +155,29 @@ fn answer_in(store: &Store, user: i64, answer: Option<Answer>) -> i64 {
     detail.task.id
 }
 
-/// Imports an accepted answer to the task of a pair that nobody has worked on.
-fn judge(store: &Store, key: &str, verdict: Verdict) {
-    let task = task_of(store, key);
+/// Imports an accepted answer about the clips of a task.
+fn import_judged(store: &Store, key: &str, clips: &TaskRecord, verdict: Verdict) -> Imported {
     let judged = NewTask {
-        key: task.key,
-        source: task.source,
-        target: task.target,
+        key: key.to_owned(),
+        source: clips.source.clone(),
+        target: clips.target.clone(),
         accepted: Some(pair(verdict)),
         ..bare_task(0, TaskKind::Pair)
     };
-    let done = store.import(None, vec![judged], START).expect("imports");
+    store.import(None, vec![judged], START).expect("imports")
+}
+
+/// Imports an accepted answer to the task of a pair that nobody has worked on.
+fn judge(store: &Store, key: &str, verdict: Verdict) {
+    let done = import_judged(store, key, &task_of(store, key), verdict);
     assert_eq!(done.filled, 1, "{done:?}");
+}
+
+/// Has eve reopen a task.
+fn reopen(store: &Store, key: &str) {
+    let reopened = decision(task_of(store, key).id, 0, Decision::Reopen);
+    let done = store.review(user_id(store, "eve"), reopened, START);
+    done.expect("reopens");
 }
 
 fn accept_in(store: &Store, user: i64) {
@@ -535,8 +547,6 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
         all.flat_map(|(store, pairs)| pairs.into_iter().map(move |pair| (store.clone(), pair)))
             .collect()
     };
-    let folder = site.folder.path().join("unused");
-    let export_it = |store: &Store| write_to(&site, store, &folder, ExportFormat::Dataset);
 
     // `stance pairs` with another seed gives the ids of judged pairs to other clips.
     for place in [kept, rejected] {
@@ -545,7 +555,7 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
     }
     pairs.remove(other);
     commit(&site.dataset, &pairs, |row| row.split, "another seed");
-    let done = export_it(store);
+    let done = commit_answers(&site, store);
     assert_eq!(done.counts["replaced"], 1, "{done:?}");
     let rows = pair_rows(&site);
     assert_eq!(clips(&rows["fine-grained1"]), theirs);
@@ -556,16 +566,10 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
     // The rejection of another project stays when it is taken back here.
     let second = fresh_store(&site, "second.sqlite");
     judge(&second, "pair:fine-grained1", Verdict::Unnatural);
-    let theirs = export_it(&second).store;
+    let theirs = commit_answers(&site, &second).store;
     assert_eq!(listed().len(), 2);
-    let users = store.users().expect("users");
-    let eve = users
-        .iter()
-        .find(|user| user.name == "eve")
-        .expect("a user");
-    let reopened = decision(task_of(store, "pair:fine-grained1").id, 0, Decision::Reopen);
-    store.review(eve.id, reopened, START).expect("reopens");
-    export_it(store);
+    reopen(store, "pair:fine-grained1");
+    commit_answers(&site, store);
     let stores: Vec<String> = listed().into_iter().map(|(store, _)| store).collect();
     assert_eq!(stores, [theirs]);
     sound(&site);
@@ -575,9 +579,8 @@ fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
 fn projects_that_judge_a_pair_differently_say_so_at_each_export() {
     const OVER: [&str; 2] = ["pairs_accepted_over_others", "pairs_rejected_over_others"];
     let site = annotated();
-    let folder = site.folder.path().join("unused");
     let counted = |store: &Store| {
-        let counts = write_to(&site, store, &folder, ExportFormat::Dataset).counts;
+        let counts = commit_answers(&site, store).counts;
         OVER.map(|what| counts.get(what).copied().unwrap_or_default())
     };
     let first = site.store.as_ref();
@@ -591,7 +594,7 @@ fn projects_that_judge_a_pair_differently_say_so_at_each_export() {
 
     // The manifest names the pairs that people rejected, and candidates are none yet.
     let lost = |store: &Store| {
-        let counts = write_to(&site, store, &folder, ExportFormat::Dataset).counts;
+        let counts = commit_answers(&site, store).counts;
         counts.get("left_out_rejected_candidates").copied()
     };
     assert_eq!(lost(&second), None);
@@ -604,24 +607,14 @@ fn projects_that_judge_a_pair_differently_say_so_at_each_export() {
 fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
     let site = annotated();
     let store = site.store.as_ref();
-    let folder = site.folder.path().join("unused");
-    let export_it = || write_to(&site, store, &folder, ExportFormat::Dataset);
-    let users = store.users().expect("users");
-    let eve = users
-        .iter()
-        .find(|user| user.name == "eve")
-        .expect("a user");
-    let reopen = |key: &str| {
-        let reopened = decision(task_of(store, key).id, 0, Decision::Reopen);
-        store.review(eve.id, reopened, START).expect("reopens");
-    };
+    let export_it = || commit_answers(&site, store);
     let described = || -> BTreeSet<String> {
         let masks: Vec<MaskRow> = read(&site.dataset);
         masks.iter().map(|row| row.motion_id.to_string()).collect()
     };
     assert!(!export_it().counts.contains_key("taken_back"));
-    reopen("mask:clip00");
-    reopen("pair:fine-grained0");
+    reopen(store, "mask:clip00");
+    reopen(store, "pair:fine-grained0");
     let done = export_it();
     assert_eq!(done.counts["taken_back"], 2 + 1, "two masks and a pair");
     let is_said = |message: &String| message.contains("taken back");
@@ -635,8 +628,8 @@ fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
     let other = fresh_store(&site, "other.sqlite");
     judge(&other, "takes:clip12|clip13", Verdict::Keep);
     commit_answers(&site, &other);
-    reopen("mask:clip01");
-    reopen("pair:style10");
+    reopen(store, "mask:clip01");
+    reopen(store, "pair:style10");
     let done = export_it();
     assert_eq!(done.counts["taken_back"], 1);
     assert_eq!(done.counts["taken_back_but_kept"], 1);
@@ -684,12 +677,11 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     assert_eq!(record(draft).state, TaskState::Leased);
     // The file does not fill a task that a reviewer reopened.
     let kept = ours.keys().find(|key| key.starts_with("pair:"));
-    let reopened = task_of(&store, kept.expect("a pair")).id;
-    let reopen = decision(reopened, 0, Decision::Reopen);
-    store.review(eve, reopen, START).expect("reopens");
+    let reopened = kept.expect("a pair");
+    reopen(&store, reopened);
     let taken = take(&store, &first);
     assert_eq!(taken.counts["conflicts"], 3);
-    assert_eq!(record(reopened).state, TaskState::Open);
+    assert_eq!(task_of(&store, reopened).state, TaskState::Open);
     whole(&store);
 }
 
@@ -887,14 +879,7 @@ fn two_tasks_of_one_candidate_in_an_old_store_make_one_pair() {
     let candidate = "takes:clip09|clip10";
     let first = task_of(store, candidate);
     let accept = |key: &str, verdict| {
-        let task = NewTask {
-            key: key.to_owned(),
-            source: first.source.clone(),
-            target: first.target.clone(),
-            accepted: Some(pair(verdict)),
-            ..bare_task(0, TaskKind::Pair)
-        };
-        let done = store.import(None, vec![task], START).expect("imports");
+        let done = import_judged(store, key, &first, verdict);
         assert_eq!(done.conflicts, Vec::<String>::new());
         commit_answers(&site, store);
         pair_rows(&site).contains_key(candidate)
@@ -909,6 +894,12 @@ fn an_export_is_one_point_in_time_and_its_log_names_nobody() {
     use std::sync::atomic::{AtomicBool, Ordering};
     let site = annotated();
     let store = site.store.as_ref();
+    set(store, |settings| {
+        settings.rules = vec![Rule {
+            people: vec![user_id(store, "ann")],
+            ..rule("trusted", RuleKind::Trusted)
+        }];
+    });
     let folder = write(&site, store, "files", ExportFormat::Parquet);
     let events: Vec<EventRow> = rows(&folder, "events");
     let id = store.id().expect("an id");
@@ -932,9 +923,11 @@ fn an_export_is_one_point_in_time_and_its_log_names_nobody() {
     for kind in ["role_changed", "accepted"] {
         assert!(kinds.contains(kind), "{kinds:?}");
     }
-    let accepted = events.iter().find(|event| event.kind == "accepted");
-    let accepted = accepted.expect("an entry");
-    assert!(accepted.body.contains(&ann), "{}", accepted.body);
+    for kind in ["accepted", "settings_changed"] {
+        let entry = events.iter().rfind(|event| event.kind == kind);
+        let entry = entry.expect("an entry");
+        assert!(entry.body.contains(&ann), "{}", entry.body);
+    }
     let labels: Vec<LabelRow> = rows(&folder, "labels");
     assert!(labels.iter().all(|label| label.author == ann));
 
@@ -942,13 +935,8 @@ fn an_export_is_one_point_in_time_and_its_log_names_nobody() {
     let (seq, count) = (store.last_seq().expect("a place"), answers(store).len());
     let first = task_of(store, "takes:clip09|clip10");
     let import = |number: usize| {
-        let unusable = NewTask {
-            source: first.source.clone(),
-            target: first.target.clone(),
-            accepted: Some(pair(Verdict::Unclear)),
-            ..bare_task(number, TaskKind::Pair)
-        };
-        store.import(None, vec![unusable], START).expect("imports")
+        let key = format!("task{number:06}");
+        import_judged(store, &key, &first, Verdict::Unclear)
     };
     import(0);
     assert_eq!(answers(store).len(), count + 1);
@@ -1004,11 +992,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
         let mut all = store.all_motions().expect("motions").into_iter();
         all.find(|motion| motion.id == clip).expect("a clip").hash
     };
-    let user = |name: &str| {
-        let mut users = store.users().expect("users").into_iter();
-        users.find(|user| user.name == name).expect("a user").id
-    };
-    let (ann, eve) = (user("ann"), user("eve"));
+    let [ann, eve] = ["ann", "eve"].map(|name| user_id(store, name));
     let (before, untouched) = (hash("clip00"), hash("clip05"));
     let draft = answer_in(store, ann, None);
     assert_eq!(store.task_record(draft).expect("a task").key, "mask:clip03");
@@ -1033,12 +1017,8 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     assert_eq!(asking(), three);
     // A task without answers gets the new content, and needs no decision.
     assert_eq!(task_of(store, "mask:clip05").source, hash("clip05"));
-    let who = Who {
-        id: ann,
-        name: "ann".to_owned(),
-        role: Role::Annotator,
-    };
-    let detail = store.task(&who, draft).expect("a task");
+    let detail = store.task(&who(ann, Role::Annotator), draft);
+    let detail = detail.expect("a task");
     assert!(detail.clip_changed, "{detail:?}");
     assert!(detail.comment.is_none(), "{detail:?}");
     whole(store);
@@ -1161,11 +1141,7 @@ fn rules_and_bulk_acceptance_leave_answers_to_an_earlier_motion_to_reviewers() {
             ..rule("all", RuleKind::Sampled)
         }];
     });
-    let who = Who {
-        id: eve,
-        name: "eve".to_owned(),
-        role: Role::Reviewer,
-    };
+    let who = who(eve, Role::Reviewer);
     let accept = json!({ "action": "accept", "filter": {}, "comment": "" });
     let counted = store.preview_bulk(&who, from_json(accept.clone()), START);
     let counted = counted.expect("counts");

@@ -130,7 +130,7 @@ fn a_store_on_postgresql_is_upgraded_after_a_copy() {
                 kept(version, "rows.sql")
             ))
             .expect("tables and rows");
-        let store = annotate::store::open_postgres(&url, &schema).expect("opens");
+        let store = annotate::store::open_postgres(&url, &schema, true).expect("opens");
         check_upgraded(&store, version);
         let before = format!("SELECT number FROM {schema}_version_{version}.version");
         let number: i64 = client.query_one(&before, &[]).expect("a copy").get(0);

@@ -21,6 +21,7 @@ mod error;
 pub mod fit;
 mod forward;
 pub mod motion;
+mod names;
 pub mod normalise;
 mod pose;
 pub mod resample;

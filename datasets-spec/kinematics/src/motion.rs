@@ -82,14 +82,15 @@ impl Motion {
         body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
     ) -> Result<Self, Error> {
         if transl.len() != global_orient.len() || transl.len() != body_pose.len() {
-            return Err(Error::FrameCount {
-                transl: transl.len(),
-                global_orient: global_orient.len(),
-                body_pose: body_pose.len(),
-            });
+            return Err(Error(format!(
+                "motion columns disagree on the number of frames: transl {}, global_orient {}, body_pose {}",
+                transl.len(),
+                global_orient.len(),
+                body_pose.len()
+            )));
         }
         if transl.is_empty() {
-            return Err(Error::NoFrames);
+            return Err(Error("motion has no frames".to_owned()));
         }
         check_finite("transl", &transl)?;
         check_finite("global_orient", &global_orient)?;
@@ -225,14 +226,15 @@ impl Motion {
     /// The range is empty or leaves the motion.
     pub fn crop(&self, frames: std::ops::Range<usize>) -> Result<Self, Error> {
         if frames.is_empty() {
-            return Err(Error::NoFrames);
+            return Err(Error("motion has no frames".to_owned()));
         }
         if frames.end > self.len() {
-            return Err(Error::TooShort {
-                frames: self.len(),
-                fps: self.fps.get(),
-                needed: frames.end,
-            });
+            return Err(Error(format!(
+                "{} frames at {} are too short for a window of {}",
+                self.len(),
+                self.fps.get(),
+                frames.end
+            )));
         }
         Ok(Self {
             fps: self.fps,
@@ -287,12 +289,12 @@ pub struct Keypoints {
     pub points: Vec<KeypointFrame>,
 }
 
-fn check_finite<const D: usize>(column: &'static str, frames: &[[f32; D]]) -> Result<(), Error> {
+fn check_finite<const D: usize>(column: &str, frames: &[[f32; D]]) -> Result<(), Error> {
     match frames
         .iter()
         .position(|frame| frame.iter().any(|value| !value.is_finite()))
     {
-        Some(frame) => Err(Error::NotFinite { column, frame }),
+        Some(frame) => Err(Error(format!("{column} of frame {frame} is not finite"))),
         None => Ok(()),
     }
 }
@@ -313,17 +315,15 @@ mod tests {
     fn broken_columns_are_refused_by_name() {
         let refused = |transl: usize, root: usize, pose: &[[f32; BODY_POSE_WIDTH]]| {
             let (transl, root) = (vec![[0.0; 3]; transl], vec![[0.0; 3]; root]);
-            Motion::new(Fps::STORE, transl, root, pose.to_vec()).expect_err("broken")
+            let motion = Motion::new(Fps::STORE, transl, root, pose.to_vec());
+            motion.expect_err("broken").to_string()
         };
         let mut pose = [[0.0; BODY_POSE_WIDTH]; 3];
         let error = refused(2, 3, &pose);
-        assert!(matches!(error, Error::FrameCount { transl: 2, .. }));
+        assert!(error.contains("transl 2, global_orient 3"), "{error}");
         pose[1][7] = f32::NAN;
-        let Error::NotFinite { column, frame } = refused(3, 3, &pose) else {
-            panic!("a number is not finite");
-        };
-        assert_eq!((column, frame), ("body_pose", 1));
-        assert!(matches!(refused(0, 0, &[]), Error::NoFrames));
+        assert_eq!(refused(3, 3, &pose), "body_pose of frame 1 is not finite");
+        assert_eq!(refused(0, 0, &[]), "motion has no frames");
     }
 
     #[test]

@@ -6,6 +6,7 @@ use crate::motion::{Motion, MotionBuilder};
 use crate::pose::Pose;
 use crate::rotation::slerp;
 pub use crate::simd::blocks::interpolate_all;
+use crate::units::no_rate;
 use crate::{Error, Fps};
 
 /// Tolerance of the time of the last frame, in output frames. Files round their rates, so a frame that is due a
@@ -90,9 +91,7 @@ pub fn interpolate(from: &Pose, to: &Pose, alpha: f64) -> Pose {
 fn floor_stride(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     let stride = (motion.fps().get() / target.get()).floor() as usize;
     if stride == 0 {
-        return Err(Error::FrameRate {
-            got: motion.fps().get(),
-        });
+        return Err(no_rate(motion.fps().get()));
     }
     Motion::new(
         target,

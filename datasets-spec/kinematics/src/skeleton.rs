@@ -65,30 +65,8 @@ pub const FIT_KEYPOINTS: [usize; 24] = [
     0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 24, 26,
 ];
 
-/// Names of all SMPL-X joints, in order.
-pub const JOINT_NAMES: [&str; NUM_JOINTS] = [
-    "pelvis",
-    "left_hip",
-    "right_hip",
-    "spine1",
-    "left_knee",
-    "right_knee",
-    "spine2",
-    "left_ankle",
-    "right_ankle",
-    "spine3",
-    "left_foot",
-    "right_foot",
-    "neck",
-    "left_collar",
-    "right_collar",
-    "head",
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
+/// Names of the SMPL-X joints after the body joints, in order.
+const OTHER_NAMES: [&str; NUM_JOINTS - NUM_BODY_JOINTS] = [
     "jaw",
     "left_eye_smplhf",
     "right_eye_smplhf",
@@ -123,6 +101,21 @@ pub const JOINT_NAMES: [&str; NUM_JOINTS] = [
     "right_thumb2",
     "right_thumb3",
 ];
+
+/// Names of all SMPL-X joints, in order.
+pub const JOINT_NAMES: [&str; NUM_JOINTS] = {
+    let mut names = [""; NUM_JOINTS];
+    let mut joint = 0;
+    while joint < NUM_JOINTS {
+        names[joint] = if joint < NUM_BODY_JOINTS {
+            Joint::ALL[joint].name()
+        } else {
+            OTHER_NAMES[joint - NUM_BODY_JOINTS]
+        };
+        joint += 1;
+    }
+    names
+};
 
 /// Rest positions of the neutral SMPL-X body, betas zero, in metres (y up, +x the body's left, +z
 /// forward). Derived from the SMPL-X model of the Max Planck Institute (non-commercial research
@@ -186,71 +179,42 @@ const SMPLX_NEUTRAL_REST: [[f64; 3]; NUM_JOINTS] = [
     [-0.7483659387, 0.01415411662, 0.005425604992],
 ];
 
-/// One of the 22 SMPL-X body joints.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "the names are the documentation")]
-#[repr(u8)]
-pub enum Joint {
-    Pelvis,
-    LeftHip,
-    RightHip,
-    Spine1,
-    LeftKnee,
-    RightKnee,
-    Spine2,
-    LeftAnkle,
-    RightAnkle,
-    Spine3,
-    LeftFoot,
-    RightFoot,
-    Neck,
-    LeftCollar,
-    RightCollar,
-    Head,
-    LeftShoulder,
-    RightShoulder,
-    LeftElbow,
-    RightElbow,
-    LeftWrist,
-    RightWrist,
+crate::named! {
+    /// One of the 22 SMPL-X body joints, in SMPL-X order.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    #[expect(missing_docs, reason = "the names are the documentation")]
+    #[repr(u8)]
+    pub enum Joint, named by name {
+        Pelvis = "pelvis",
+        LeftHip = "left_hip",
+        RightHip = "right_hip",
+        Spine1 = "spine1",
+        LeftKnee = "left_knee",
+        RightKnee = "right_knee",
+        Spine2 = "spine2",
+        LeftAnkle = "left_ankle",
+        RightAnkle = "right_ankle",
+        Spine3 = "spine3",
+        LeftFoot = "left_foot",
+        RightFoot = "right_foot",
+        Neck = "neck",
+        LeftCollar = "left_collar",
+        RightCollar = "right_collar",
+        Head = "head",
+        LeftShoulder = "left_shoulder",
+        RightShoulder = "right_shoulder",
+        LeftElbow = "left_elbow",
+        RightElbow = "right_elbow",
+        LeftWrist = "left_wrist",
+        RightWrist = "right_wrist",
+    }
 }
 
 impl Joint {
-    /// All body joints in SMPL-X order.
-    pub const ALL: [Joint; NUM_BODY_JOINTS] = [
-        Joint::Pelvis,
-        Joint::LeftHip,
-        Joint::RightHip,
-        Joint::Spine1,
-        Joint::LeftKnee,
-        Joint::RightKnee,
-        Joint::Spine2,
-        Joint::LeftAnkle,
-        Joint::RightAnkle,
-        Joint::Spine3,
-        Joint::LeftFoot,
-        Joint::RightFoot,
-        Joint::Neck,
-        Joint::LeftCollar,
-        Joint::RightCollar,
-        Joint::Head,
-        Joint::LeftShoulder,
-        Joint::RightShoulder,
-        Joint::LeftElbow,
-        Joint::RightElbow,
-        Joint::LeftWrist,
-        Joint::RightWrist,
-    ];
-
     /// Position in the SMPL-X joint list.
     pub fn index(self) -> usize {
         self as usize
-    }
-
-    /// The SMPL-X name.
-    pub fn name(self) -> &'static str {
-        JOINT_NAMES[self.index()]
     }
 
     /// The parent of the joint; `None` for the pelvis.
@@ -278,12 +242,11 @@ impl FromStr for Joint {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self, Error> {
-        Self::ALL
-            .into_iter()
-            .find(|joint| joint.name() == text)
-            .ok_or_else(|| Error::Joint {
-                name: text.to_owned(),
-            })
+        Self::of_name(text).ok_or_else(|| {
+            Error(format!(
+                "unknown joint {text:?}; SMPL-X body joints are named pelvis, left_hip, ... right_wrist"
+            ))
+        })
     }
 }
 

@@ -6,7 +6,7 @@ use crate::Error;
 
 /// A frame rate in frames per second: positive and finite.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "f64", into = "f64")]
+#[serde(try_from = "f64")]
 pub struct Fps(f64);
 
 impl Fps {
@@ -26,12 +26,9 @@ impl Fps {
     /// # Errors
     /// The rate is not positive and finite.
     pub fn new(frames_per_second: f64) -> Result<Self, Error> {
-        if frames_per_second.is_finite() && frames_per_second > 0.0 {
-            Ok(Self(frames_per_second))
-        } else {
-            Err(Error::FrameRate {
-                got: frames_per_second,
-            })
+        match frames_per_second.is_finite() && frames_per_second > 0.0 {
+            true => Ok(Self(frames_per_second)),
+            false => Err(no_rate(frames_per_second)),
         }
     }
 
@@ -69,10 +66,8 @@ impl TryFrom<f64> for Fps {
     }
 }
 
-impl From<Fps> for f64 {
-    fn from(fps: Fps) -> f64 {
-        fps.0
-    }
+pub(crate) fn no_rate(got: f64) -> Error {
+    Error(format!("frame rate must be positive and finite, got {got}"))
 }
 
 impl std::fmt::Display for Fps {

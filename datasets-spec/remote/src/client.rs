@@ -148,18 +148,13 @@ impl Client {
                 built.map(|store| Arc::new(store) as _)
             }
             Scheme::Http => {
-                let options = times
-                    .into_iter()
-                    .fold(ClientOptions::new(), |options, (key, value)| {
-                        options.with_config(key, value)
-                    })
-                    .with_allow_http(true);
+                let mut options = ClientOptions::new().with_allow_http(true);
+                for (key, value) in times {
+                    options = options.with_config(key, value);
+                }
                 let builder = HttpBuilder::new().with_url(&place.root);
-                let built = builder
-                    .with_client_options(options)
-                    .with_retry(retry)
-                    .build();
-                built.map(|store| Arc::new(store) as _)
+                let builder = builder.with_client_options(options).with_retry(retry);
+                builder.build().map(|store| Arc::new(store) as _)
             }
             Scheme::Hub => {
                 return Err(io::Error::other("the hub's cache is no object store"));

@@ -13,7 +13,7 @@ use crate::{Error, Skeleton, Split};
 ///
 /// # Errors
 /// It holds one, or cannot be read.
-pub fn refuse_others(root: &Path, own: &[&str], made: &'static str) -> Result<(), Error> {
+pub fn refuse_others(root: &Path, own: &[&str], made: &str) -> Result<(), Error> {
     let held = match Dataset::open_unverified(root) {
         Ok(held) => held,
         Err(Error::NotADataset { .. }) => return Ok(()),
@@ -22,10 +22,11 @@ pub fn refuse_others(root: &Path, own: &[&str], made: &'static str) -> Result<()
     let mut tables = held.manifest().tables.keys();
     match tables.find(|table| !own.contains(&table.as_str())) {
         None => Ok(()),
-        Some(table) => Err(Error::Beside {
+        Some(table) => Err(Error::Occupied {
             path: root.to_owned(),
-            table: table.clone(),
-            made,
+            problem: format!(
+                "holds the table {table}, and {made} do not belong beside it; name another folder"
+            ),
         }),
     }
 }

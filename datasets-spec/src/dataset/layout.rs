@@ -25,12 +25,6 @@ pub(super) fn manifest_path(root: &Path, version: u64) -> PathBuf {
     root.join(META).join(format!("manifest-{version}.json"))
 }
 
-/// The newest manifest of a folder that a run will write to; see [`check_free`].
-pub(super) fn newest_manifest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
-    check_free(store, root)?;
-    read_newest(store, root)
-}
-
 pub(super) fn read_newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
     let Some(version) = manifest_versions(store, root)?.pop() else {
         return Ok(None);
@@ -69,7 +63,10 @@ pub(super) fn check_free(store: &dyn Store, root: &Path) -> Result<(), Error> {
         // Another run may have committed a first version meanwhile.
         Some(file) if !is_dataset()? => Err(Error::Occupied {
             path: root.to_owned(),
-            file,
+            problem: format!(
+                "is no dataset and holds {file}, which a dataset there would replace or mix with its own; name a new \
+                 folder, or move that file away"
+            ),
         }),
         _ => Ok(()),
     }
@@ -146,10 +143,7 @@ pub(super) fn read_manifest(
 ) -> Result<Manifest, Error> {
     let path = manifest_path(root, version);
     let text = store.read(&path).map_err(Error::io("read", &path))?;
-    let manifest: Manifest = serde_json::from_slice(&text).map_err(|source| Error::Json {
-        path: path.clone(),
-        source,
-    })?;
+    let manifest: Manifest = serde_json::from_slice(&text).map_err(Error::json(&path))?;
     if manifest.format != FORMAT {
         return Err(Error::NotADataset {
             path,
@@ -182,14 +176,8 @@ pub struct ShardName {
 
 impl std::fmt::Display for ShardName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.stem())
-    }
-}
-
-impl ShardName {
-    pub(super) fn stem(&self) -> String {
         let split = self.split.map_or(UNSPLIT, Split::as_str);
-        format!("{split}-{:05}-of-{:05}", self.index, self.of)
+        write!(f, "{split}-{:05}-of-{:05}", self.index, self.of)
     }
 }
 

@@ -12,7 +12,7 @@ use crate::record::{ItemRow, MotionRow};
 use crate::rejected::{RejectedMasks, Rejections};
 use crate::store::{ByPath, Store, is_url};
 use crate::table::{self, Row};
-use crate::{Error, MotionId, Skeleton, Split};
+use crate::{Digest, Error, MotionId, Skeleton, Split};
 
 /// A dataset opened for reading, in a folder or at a URL.
 #[derive(Clone, Debug)]
@@ -97,11 +97,11 @@ impl Dataset {
         let known = manifest_versions(store.as_ref(), root)?;
         if !known.contains(&version) {
             let known: Vec<String> = known.iter().map(u64::to_string).collect();
-            return Err(Error::NoVersion {
-                path: root.to_owned(),
-                version,
-                known: known.join(", "),
-            });
+            return Err(Error::Refused(format!(
+                "{} has no version {version}; there are {}",
+                root.display(),
+                known.join(", ")
+            )));
         }
         let manifest = read_manifest(store.as_ref(), root, version)?;
         Self::new(root.to_owned(), manifest, store).verified()
@@ -204,15 +204,19 @@ impl Dataset {
         &self.manifest
     }
 
-    /// Hash of the rows of some tables ([`Manifest::content_hash`]), and of the condition by which clips were chosen.
+    /// Hash of the rows of some tables ([`Manifest::content_hash`]), and of the ids of the chosen clips: one condition
+    /// chooses other clips once masks or pairs have changed.
     pub fn content_hash(&self, tables: &[&str]) -> String {
         let whole = self.manifest.content_hash(tables);
-        match self.condition() {
-            Some(condition) => blake3::hash(format!("{whole} where {condition}").as_bytes())
-                .to_hex()
-                .to_string(),
-            None => whole,
+        let Some(chosen) = &self.chosen else {
+            return whole;
+        };
+        let mut digest = Digest::default();
+        digest.part(&whole);
+        for clip in &chosen.clips {
+            digest.part(clip.as_str());
         }
+        digest.hex()
     }
 
     /// The skeleton its motions are posed on.
@@ -275,9 +279,7 @@ impl Dataset {
     pub fn items(&self) -> Result<Vec<ItemRow>, Error> {
         let rows: Vec<ItemRow> = self.read(None)?;
         if rows.is_empty() {
-            return Err(Error::NoItems {
-                path: self.root.clone(),
-            });
+            return Err(Error::no_items(&self.root));
         }
         for row in &rows {
             row.check().map_err(|source| Error::ItemOf {

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use super::layout::{DATA, ShardName};
 use super::transaction::Transaction;
 use crate::manifest::FileEntry;
-use crate::store::{Store, aside, is_url, write_new};
+use crate::store::{Store, aside, create_folder, is_url, write_bytes, write_new};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
@@ -29,7 +29,7 @@ pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, Stri
 /// version; it becomes part of the name, so that the earlier version keeps its files.
 pub(super) fn shard_path(name: &ShardName, replacing: Option<u64>) -> String {
     let suffix = replacing.map_or(String::new(), |version| format!(".v{version}"));
-    format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
+    format!("{DATA}/{}/{name}{suffix}.parquet", name.table)
 }
 
 /// Writes a shard to `path`, complete or not at all. The returned entry states the path `relative`.
@@ -42,9 +42,7 @@ pub(super) fn write_shard_at<'a, R: Row + 'a, E: From<Error>>(
     facts: &[(&str, String)],
 ) -> Result<FileEntry, E> {
     if let Some(folder) = path.parent() {
-        store
-            .create_dir_all(folder)
-            .map_err(Error::io("create folder", folder))?;
+        create_folder(store, folder)?;
     }
     let (mut rows, mut written) = (0, Hashes::default());
     let groups = groups.inspect(|group| rows += group.as_ref().map_or(0, |rows| rows.len()));
@@ -52,9 +50,7 @@ pub(super) fn write_shard_at<'a, R: Row + 'a, E: From<Error>>(
         // An object store verifies what it receives, so the file is not read back.
         let bytes = table::write_groups(Vec::new(), path, groups, facts)?;
         written.add(&bytes);
-        let mut file = store.create(path).map_err(Error::io("create", path))?;
-        file.write_all(&bytes).map_err(Error::io("write", path))?;
-        file.publish().map_err(Error::io("write", path))?;
+        write_bytes(store, path, &bytes)?;
     } else {
         let file = store.create(path).map_err(Error::io("create", path))?;
         let file = table::write_groups(file, path, groups, facts)?;

@@ -9,13 +9,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::layout::{
-    DATA, ShardName, manifest_versions, newest_manifest, staged_folder, tables_until,
+    DATA, ShardName, check_free, manifest_versions, read_newest, staged_folder, tables_until,
 };
 use super::shards::{holds, shard_path, write_shard_at};
 use super::transaction::{Transaction, write_json};
 use crate::Error;
 use crate::manifest::{FileEntry, Manifest};
-use crate::store::{Store, aside};
+use crate::store::{Store, aside, create_folder};
 use crate::table::{Row, borrowed_groups};
 
 /// Folder in which the shards of a plan wait for its commit.
@@ -65,7 +65,8 @@ impl Staging {
     /// # Errors
     /// A manifest exists but cannot be read, or there is none and the folder holds files that a dataset would replace.
     pub fn newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
-        newest_manifest(store, root)
+        check_free(store, root)?;
+        read_newest(store, root)
     }
 
     /// Returns the number of the version that a plan starts from (0 if there is none), and the names of all tables in
@@ -137,9 +138,7 @@ impl Staging {
     /// # Errors
     /// The record cannot be written.
     pub fn put<T: Serialize>(&self, name: &str, record: &T) -> Result<(), Error> {
-        self.store
-            .create_dir_all(&self.folder)
-            .map_err(Error::io("create folder", &self.folder))?;
+        create_folder(self.store.as_ref(), &self.folder)?;
         let path = self.staged_path(&format!("{name}.json"));
         write_json(self.store.as_ref(), &path, record)
     }
@@ -190,9 +189,7 @@ impl Transaction {
             }
             let folder = aside.parent().unwrap_or(&self.root).to_owned();
             if !folders.contains(&folder) {
-                store
-                    .create_dir_all(&folder)
-                    .map_err(Error::io("create folder", &folder))?;
+                create_folder(store, &folder)?;
                 folders.insert(folder);
             }
             store

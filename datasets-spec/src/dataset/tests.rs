@@ -331,7 +331,8 @@ fn a_replaced_version_stays_readable_and_becomes_the_newest_one_again() {
     let versions = Dataset::versions(dir.path()).expect("a dataset");
     assert!(versions.iter().map(|version| version.version).eq(1..=3));
     let missing = Dataset::open_version(dir.path(), 7);
-    assert!(matches!(missing, Err(Error::NoVersion { version: 7, .. })));
+    let error = missing.expect_err("no such version").to_string();
+    assert!(error.ends_with("version 7; there are 1, 2, 3"), "{error}");
 }
 
 #[test]
@@ -361,6 +362,21 @@ fn rows_in_other_files_have_the_same_content_hash() {
     // Other rows have another hash.
     let other = commit_motions(dir.path(), &[row(2)]);
     assert_ne!(hash(&other), hash(&before));
+}
+
+#[test]
+fn the_chosen_clips_are_hashed_and_not_the_condition_that_chose_them() {
+    let dir = tempfile::tempdir().expect("dir");
+    let rows = [row(0), row(1)];
+    let dataset = commit_motions(dir.path(), &rows);
+    let hash = |condition: &str, row: &MotionRow| {
+        let chosen = dataset.of_clips(condition, [row.id.clone()].into());
+        chosen.content_hash(&[MotionRow::TABLE])
+    };
+    let first = hash("has_mask", &rows[0]);
+    assert_ne!(hash("has_mask", &rows[1]), first);
+    assert_eq!(hash("id = 'clip0'", &rows[0]), first);
+    assert_ne!(dataset.content_hash(&[MotionRow::TABLE]), first);
 }
 
 #[test]

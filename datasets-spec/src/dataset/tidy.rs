@@ -16,7 +16,7 @@ use super::layout::{
 };
 use super::transaction::Transaction;
 use crate::manifest::Manifest;
-use crate::store::{aside, if_exists, is_temporary, write_bytes};
+use crate::store::{aside, create_folder, if_exists, is_temporary, write_bytes};
 use crate::{Error, card, croissant};
 
 /// Names and texts of the files in a dataset's root that describe it. They are made from its manifest only.
@@ -141,9 +141,7 @@ impl Transaction {
 
     fn move_file(&self, from: &Path, to: &Path) -> Result<(), Error> {
         if let Some(folder) = to.parent() {
-            self.store
-                .create_dir_all(folder)
-                .map_err(Error::io("create folder", folder))?;
+            create_folder(self.store.as_ref(), folder)?;
         }
         match self.store.rename(from, to) {
             // On storage without locks, another run may have moved the file already.

@@ -14,7 +14,7 @@ use crate::manifest::{
     ANNOTATE_FACTS, Accounting, FORMAT, FileEntry, Manifest, REJECTED_MASKS_FACT,
     REJECTED_PAIRS_FACT, add_rejected,
 };
-use crate::store::{ByPath, Lock, Locking, Store, write_bytes, write_new};
+use crate::store::{ByPath, Lock, Locking, Store, create_folder, write_bytes, write_new};
 use crate::table::SCHEMA_VERSION;
 use crate::{Error, Skeleton};
 
@@ -71,14 +71,10 @@ impl Transaction {
     /// # Errors
     /// As [`Transaction::begin`].
     pub fn begin_on(store: Arc<dyn Store>, root: &Path, holder: &str) -> Result<Self, Error> {
-        let create = |folder: &Path| {
-            let created = store.create_dir_all(folder);
-            created.map_err(Error::io("create folder", folder))
-        };
-        create(root)?;
+        create_folder(store.as_ref(), root)?;
         check_free(store.as_ref(), root)?;
-        create(&root.join(META))?;
-        create(&root.join(DATA))?;
+        create_folder(store.as_ref(), &root.join(META))?;
+        create_folder(store.as_ref(), &root.join(DATA))?;
         let path = root.to_owned();
         let lock = match store.lock(root, holder).map_err(Error::io("lock", root))? {
             Locking::Held(lock) => Some(lock),
@@ -139,14 +135,7 @@ impl Transaction {
         let mut manifest = self.base.clone().unwrap_or_else(|| Manifest {
             format: FORMAT.to_owned(),
             schema_version: SCHEMA_VERSION.to_owned(),
-            version: 0,
-            tool_version: String::new(),
-            skeleton: String::new(),
-            tables: BTreeMap::new(),
-            plans: BTreeMap::new(),
-            accounting: Accounting::default(),
-            facts: BTreeMap::new(),
-            root_hash: String::new(),
+            ..Manifest::default()
         });
         let stays = |table: &String| match commit.fresh {
             true => commit.carried.contains(table),
@@ -161,12 +150,9 @@ impl Transaction {
             )));
         }
         if commit.fresh {
-            manifest
-                .tables
-                .retain(|table, _| commit.carried.contains(table));
-            manifest
-                .plans
-                .retain(|table, _| commit.carried.contains(table));
+            let carried = &commit.carried;
+            manifest.tables.retain(|table, _| carried.contains(table));
+            manifest.plans.retain(|table, _| carried.contains(table));
             let is_of_people = |name: &str| {
                 [REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT].contains(&name)
                     || name.starts_with(ANNOTATE_FACTS)
@@ -181,12 +167,9 @@ impl Transaction {
         }
         manifest.version = self.version();
         manifest.tool_version = TOOL.to_owned();
-        for table in commit.tables.keys() {
-            manifest
-                .plans
-                .insert(table.clone(), commit.plan_hash.clone());
-        }
-        manifest.plans.extend(commit.plans);
+        let made = commit.tables.keys().cloned();
+        let made = made.map(|table| (table, commit.plan_hash.clone()));
+        manifest.plans.extend(made.chain(commit.plans));
         manifest.tables.extend(commit.tables);
         manifest.facts.extend(commit.facts);
         if let Some(accounting) = commit.accounting {
@@ -285,18 +268,14 @@ fn newer_version(version: &str) -> &str {
         let parts = text.split('.');
         parts.map(|part| part.parse().unwrap_or(0)).collect()
     };
-    if numbers(version) > numbers(SCHEMA_VERSION) {
-        version
-    } else {
-        SCHEMA_VERSION
+    match numbers(version) > numbers(SCHEMA_VERSION) {
+        true => version,
+        false => SCHEMA_VERSION,
     }
 }
 
 fn json<T: Serialize>(path: &Path, value: &T) -> Result<Vec<u8>, Error> {
-    let mut text = serde_json::to_vec_pretty(value).map_err(|source| Error::Json {
-        path: path.to_owned(),
-        source,
-    })?;
+    let mut text = serde_json::to_vec_pretty(value).map_err(Error::json(path))?;
     text.push(b'\n');
     Ok(text)
 }

@@ -7,7 +7,7 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use super::ranges::{range_of, within};
 use super::rows::{EditRow, Frames, ItemRow, MotionRow, TripletRow};
 use crate::table::{Row, table};
-use crate::{BodyPart, Error, Fps, JointSet, Motion, MotionId, Split};
+use crate::{BodyPart, Digest, Error, Fps, JointSet, Motion, MotionId, Split};
 
 const ITEM_ID_DIGITS: usize = 32;
 
@@ -166,11 +166,7 @@ impl ItemRow {
     /// The id computed from the content: from all columns but the id itself and those that do not change the question
     /// (`origin`, `novelty`, `seed`, `recipe_hash`).
     pub fn content_id(&self) -> String {
-        let mut hasher = blake3::Hasher::new();
-        let mut part = |bytes: &[u8]| {
-            hasher.update(&(bytes.len() as u64).to_le_bytes());
-            hasher.update(bytes);
-        };
+        let mut digest = Digest::default();
         for text in [
             self.task.as_str(),
             self.split.as_str(),
@@ -178,7 +174,7 @@ impl ItemRow {
             self.source_id.as_str(),
             self.target_id.as_str(),
         ] {
-            part(text.as_bytes());
+            digest.part(text.as_bytes());
         }
         for list in [
             &self.donor_ids,
@@ -186,16 +182,16 @@ impl ItemRow {
             &self.hard_joints,
             &self.soft_joints,
         ] {
-            part(&(list.len() as u64).to_le_bytes());
+            digest.part(&(list.len() as u64).to_le_bytes());
             for name in list {
-                part(name.as_bytes());
+                digest.part(name.as_bytes());
             }
         }
-        part(&self.alpha.to_le_bytes());
-        part(&self.fps.to_le_bytes());
+        digest.part(&self.alpha.to_le_bytes());
+        digest.part(&self.fps.to_le_bytes());
         // A question about all frames hashes nothing here, so that questions of earlier formats keep their ids.
         for frame in [self.edit_start, self.edit_end].into_iter().flatten() {
-            part(&frame.to_le_bytes());
+            digest.part(&frame.to_le_bytes());
         }
         fn bytes<const D: usize>(frames: &[[f32; D]]) -> Vec<u8> {
             let numbers = frames.as_flattened().iter();
@@ -203,11 +199,11 @@ impl ItemRow {
             bytes.into_flattened()
         }
         for (transl, global_orient, body_pose) in self.motions() {
-            part(&bytes(transl));
-            part(&bytes(global_orient));
-            part(&bytes(body_pose));
+            digest.part(&bytes(transl));
+            digest.part(&bytes(global_orient));
+            digest.part(&bytes(body_pose));
         }
-        let mut digits = hasher.finalize().to_hex().to_string();
+        let mut digits = digest.hex();
         digits.truncate(ITEM_ID_DIGITS);
         digits
     }

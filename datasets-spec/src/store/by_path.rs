@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Read};
-use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
@@ -91,43 +90,22 @@ impl ByPath {
     }
 }
 
-/// A store that was found for a path.
-enum Found {
-    Fixed(&'static dyn Store),
-    Mounted(Arc<dyn Store>),
-}
-
-impl Deref for Found {
-    type Target = dyn Store;
-
-    fn deref(&self) -> &Self::Target {
-        match self {
-            Self::Fixed(store) => *store,
-            Self::Mounted(store) => store.as_ref(),
-        }
-    }
-}
-
 /// The store of a file, or of a folder whose entries are not accessed.
-fn of(path: &Path) -> io::Result<Found> {
+fn of(path: &Path) -> io::Result<Arc<dyn Store>> {
     found(path, path.parent().and_then(mounted_at))
 }
 
-fn in_folder(folder: &Path) -> io::Result<Found> {
+fn in_folder(folder: &Path) -> io::Result<Arc<dyn Store>> {
     found(folder, mounted_at(folder))
 }
 
-fn found(path: &Path, mounted: Option<Arc<dyn Store>>) -> io::Result<Found> {
-    if let Some(store) = mounted {
-        return Ok(Found::Mounted(store));
+fn found(path: &Path, mounted: Option<Arc<dyn Store>>) -> io::Result<Arc<dyn Store>> {
+    let none = || io::Error::new(io::ErrorKind::Unsupported, "this program reads no URLs");
+    match mounted {
+        Some(store) => Ok(store),
+        None if is_url(path) => REMOTE.get().cloned().ok_or_else(none),
+        None => Ok(Disk::store()),
     }
-    if !is_url(path) {
-        return Ok(Found::Fixed(&Disk));
-    }
-    let remote = REMOTE.get().map(AsRef::as_ref);
-    let remote = remote
-        .ok_or_else(|| io::Error::new(io::ErrorKind::Unsupported, "this program reads no URLs"));
-    remote.map(Found::Fixed)
 }
 
 impl Store for ByPath {

@@ -136,7 +136,7 @@ struct Staged {
 }
 
 impl Staged {
-    fn synced(&mut self) -> io::Result<()> {
+    fn synced(&self) -> io::Result<()> {
         match &self.file {
             Some(file) => file.sync_all(),
             None => Ok(()),
@@ -165,7 +165,7 @@ impl NewFile for Staged {
         sync_folder_of(&self.path)
     }
 
-    fn publish_new(mut self: Box<Self>) -> io::Result<()> {
+    fn publish_new(self: Box<Self>) -> io::Result<()> {
         use io::ErrorKind::{AlreadyExists, PermissionDenied, Unsupported};
 
         self.synced()?;
@@ -177,9 +177,7 @@ impl NewFile for Staged {
                 if self.path.exists() {
                     return Err(AlreadyExists.into());
                 }
-                fs::rename(&self.staged, &self.path)?;
-                self.file = None;
-                sync_folder_of(&self.path)
+                self.publish()
             }
             Err(error) => Err(error),
         }

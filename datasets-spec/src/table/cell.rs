@@ -179,19 +179,12 @@ fn offsets(lengths: &[usize]) -> Result<OffsetBuffer<i32>, String> {
     }
 }
 
-/// Calls `decode_row(start, end)` for each list, with the range that it covers in the values array.
-fn decode_lists<T>(
-    list: &ListArray,
-    mut decode_row: impl FnMut(usize, usize) -> Result<T, String>,
-) -> Result<Vec<T>, (usize, String)> {
+/// The results of `decode_row(start, end)` for each list, with the range that it covers in the values array.
+fn decode_lists<T>(list: &ListArray, mut decode_row: impl FnMut(usize, usize) -> T) -> Vec<T> {
     let bounds: &ScalarBuffer<i32> = list.offsets().inner();
-    bounds
-        .windows(2)
-        .enumerate()
-        .map(|(row, pair)| {
-            // Arrow guarantees that offsets are non-negative and ascending.
-            decode_row(pair[0] as usize, pair[1] as usize).map_err(|problem| (row, problem))
-        })
+    // Arrow guarantees that offsets are non-negative and ascending.
+    let rows = bounds.windows(2);
+    rows.map(|pair| decode_row(pair[0] as usize, pair[1] as usize))
         .collect()
 }
 
@@ -237,10 +230,10 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
         }
         let numbers = numbers.values();
         // `values()` has applied the offset of a sliced array, so list offsets index it directly.
-        decode_lists(list, |start, end| {
+        Ok(decode_lists(list, |start, end| {
             let (frames, _rest) = numbers[start * D..end * D].as_chunks::<D>();
-            Ok(frames.to_vec())
-        })
+            frames.to_vec()
+        }))
     }
 }
 
@@ -269,9 +262,9 @@ macro_rules! list_cell {
                 let (first, end) = (list.offsets()[0], list.offsets()[list.len()]);
                 let items = list.values().slice(first as usize, (end - first) as usize);
                 let mut items = <$ty as Cell>::decode(items.as_ref())?.into_iter();
-                decode_lists(list, |start, end| {
-                    Ok(items.by_ref().take(end - start).collect())
-                })
+                Ok(decode_lists(list, |start, end| {
+                    items.by_ref().take(end - start).collect()
+                }))
             }
         }
     };

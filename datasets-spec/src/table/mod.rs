@@ -218,10 +218,9 @@ pub fn decode_column<T: Cell>(
         let problem = format!("has {} missing values", array.null_count());
         return Err(refused(problem));
     }
-    T::decode(array.as_ref()).map_err(|(row, problem)| Error::Cell {
-        table,
-        column: name.to_owned(),
-        row,
-        problem,
+    T::decode(array.as_ref()).map_err(|(row, problem)| {
+        Error::Refused(format!(
+            "table {table}, column {name:?}, row {row}: {problem}"
+        ))
     })
 }

@@ -31,6 +31,8 @@ const ROW_GROUP_PAGES: usize = 256;
 const ZSTD_LEVEL: i32 = 1;
 /// Size limit of a page, large enough for the longest clip to be one page.
 const PAGE_BYTES: usize = 64 << 20;
+/// Footer entry with the version of the table schemas.
+const SCHEMA_VERSION_NOTE: &str = "schema_version";
 const READ_BATCH_ROWS: usize = 64;
 const COLUMN_BATCH_ROWS: usize = 4096;
 
@@ -60,20 +62,14 @@ fn properties(
     page_rows: usize,
     facts: &[(&str, String)],
 ) -> Result<WriterProperties, ParquetError> {
-    let mut key_values = vec![KeyValue::new(
-        "motion.schema_version".to_owned(),
-        SCHEMA_VERSION.to_owned(),
-    )];
-    key_values.extend(
-        facts
-            .iter()
-            .map(|(key, value)| KeyValue::new(format!("motion.{key}"), value.clone())),
-    );
+    let version = (SCHEMA_VERSION_NOTE, SCHEMA_VERSION.to_owned());
+    let notes = std::iter::once(&version).chain(facts);
+    let notes = notes.map(|(key, value)| KeyValue::new(format!("motion.{key}"), value.clone()));
     let mut builder = WriterProperties::builder()
         .set_created_by(concat!("stance ", env!("CARGO_PKG_VERSION")).to_owned())
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(ZSTD_LEVEL)?))
         .set_max_row_group_row_count(Some(ROW_GROUP_PAGES * page_rows))
-        .set_key_value_metadata(Some(key_values));
+        .set_key_value_metadata(Some(notes.collect()));
     let leaves = frame_leaves(schema);
     if !leaves.is_empty() {
         // One clip (or `page_rows` small rows) per page, so that a reader decodes only the pages that it needs.
@@ -208,18 +204,20 @@ fn options() -> ArrowReaderOptions {
     ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional)
 }
 
+/// Entries of the footer with the prefix `motion.`, without the prefix.
+fn notes(metadata: &ArrowReaderMetadata) -> impl Iterator<Item = (&str, Option<&str>)> {
+    let entries = metadata.metadata().file_metadata().key_value_metadata();
+    entries.into_iter().flatten().filter_map(|entry| {
+        let key = entry.key.strip_prefix("motion.")?;
+        Some((key, entry.value.as_deref()))
+    })
+}
+
 /// Refuses files of another major version, which this program would misread.
 fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
-    let found = metadata
-        .metadata()
-        .file_metadata()
-        .key_value_metadata()
-        .into_iter()
-        .flatten()
-        .find(|entry| entry.key == "motion.schema_version")
-        .and_then(|entry| entry.value.clone())
-        .unwrap_or_else(|| "none".to_owned());
-    super::check_version(path, &found)
+    let version = notes(metadata).find(|(key, _)| *key == SCHEMA_VERSION_NOTE);
+    let found = version.and_then(|(_, value)| value).unwrap_or("none");
+    super::check_version(path, found)
 }
 
 /// Reads all rows of a file.
@@ -316,13 +314,11 @@ impl ShardReader {
     /// # Errors
     /// The file cannot be read, or the column is missing or of another type.
     pub fn column<R: Row, T: Cell>(&self, name: &'static str) -> Result<Vec<T>, Error> {
-        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), [name]);
-        let (file, metadata) = (self.ahead(&mask, None)?, self.metadata.clone());
-        let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata)
-            .with_projection(mask)
-            .build()
-            .map_err(Error::parquet("read", &self.path))?;
-        decoded::<R, T>(reader, |batch| decode_column(R::TABLE, name, batch))
+        let reader = self.reader_of(&[name])?.build();
+        let reader = reader.map_err(Error::parquet("read", &self.path))?;
+        decoded(&self.path, reader, |batch| {
+            decode_column(R::TABLE, name, batch)
+        })
     }
 
     /// Reads the named columns of all rows, batch by batch; names that the file lacks are left out. No other column is read
@@ -331,28 +327,27 @@ impl ShardReader {
     /// # Errors
     /// The file cannot be read.
     pub fn batches(&self, names: &[&str]) -> Result<Vec<RecordBatch>, Error> {
-        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), names.iter().copied());
-        let (file, metadata) = (self.ahead(&mask, None)?, self.metadata.clone());
-        let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata)
-            .with_projection(mask)
-            .with_batch_size(COLUMN_BATCH_ROWS)
-            .build()
-            .map_err(Error::parquet("read", &self.path))?;
+        let reader = self.reader_of(names)?.with_batch_size(COLUMN_BATCH_ROWS);
+        let reader = reader.build().map_err(Error::parquet("read", &self.path))?;
         reader
             .map(|batch| batch.map_err(|error| Error::parquet("read", &self.path)(error.into())))
             .collect()
     }
 
+    /// A reader of the named columns of all rows.
+    fn reader_of(&self, names: &[&str]) -> Result<ParquetRecordBatchReaderBuilder<Chunks>, Error> {
+        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), names.iter().copied());
+        let (file, metadata) = (self.ahead(&mask, None)?, self.metadata.clone());
+        let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata);
+        Ok(reader.with_projection(mask))
+    }
+
     /// Facts in the file's footer: those passed to [`write_rows`].
     pub fn facts(&self) -> Vec<(String, String)> {
-        let metadata = self.metadata.metadata().file_metadata();
-        let notes = metadata.key_value_metadata().into_iter().flatten();
-        let facts = notes.filter_map(|note| {
-            let key = note.key.strip_prefix("motion.")?;
-            let value = note.value.clone()?;
-            (key != "schema_version").then(|| (key.to_owned(), value))
-        });
-        facts.collect()
+        notes(&self.metadata)
+            .filter(|(key, _)| *key != SCHEMA_VERSION_NOTE)
+            .filter_map(|(key, value)| Some((key.to_owned(), value?.to_owned())))
+            .collect()
     }
 
     fn columns_of<R: Row>(&self) -> ProjectionMask {
@@ -491,18 +486,18 @@ fn read_selected<R: Row>(
             .with_row_selection_policy(RowSelectionPolicy::Selectors);
     }
     let reader = builder.build().map_err(Error::parquet("read", path))?;
-    decoded::<R, R>(reader, R::decode)
+    decoded(path, reader, R::decode)
 }
 
-/// Decodes the batches of a file of table `R`.
-fn decoded<R: Row, T>(
+/// Decodes the batches of a file.
+fn decoded<T>(
+    path: &Path,
     batches: ParquetRecordBatchReader,
     decode: impl Fn(&RecordBatch) -> Result<Vec<T>, Error>,
 ) -> Result<Vec<T>, Error> {
-    let table = R::TABLE;
     let mut values = Vec::new();
     for batch in batches {
-        let batch = batch.map_err(|source| Error::Arrow { table, source })?;
+        let batch = batch.map_err(|error| Error::parquet("read", path)(error.into()))?;
         values.extend(decode(&batch)?);
     }
     Ok(values)
@@ -560,14 +555,8 @@ pub fn describe(path: &Path) -> Result<ShardDescription, Error> {
             columns[index].uncompressed += size(column.uncompressed_size());
         }
     }
-    let mut facts: Vec<(String, String)> = file
-        .key_value_metadata()
-        .into_iter()
-        .flatten()
-        .filter_map(|entry| {
-            let key = entry.key.strip_prefix("motion.")?.to_owned();
-            Some((key, entry.value.clone().unwrap_or_default()))
-        })
+    let mut facts: Vec<(String, String)> = notes(&shard.metadata)
+        .map(|(key, value)| (key.to_owned(), value.unwrap_or_default().to_owned()))
         .collect();
     facts.sort();
     Ok(ShardDescription {
@@ -618,6 +607,26 @@ mod tests {
                 writer.push(row).expect("writes");
             }
             assert!(writer.finish().expect("ends") == whole, "{count}");
+        }
+    }
+
+    #[test]
+    fn a_damaged_page_is_told_like_a_damaged_footer() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("pairs.parquet");
+        let mut bytes = write_rows(Vec::new(), &path, &pairs(9), &[]).expect("writes");
+        let zstd: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+        let page = bytes.windows(4).position(|four| four == zstd);
+        bytes[page.expect("a compressed page")] = 0;
+        std::fs::write(&path, bytes).expect("written");
+        let shard = ShardReader::open(&path).expect("a whole footer");
+        for error in [
+            read_rows::<PairRow>(&path).expect_err("damaged"),
+            shard.rows_at::<PairRow>(&[0]).expect_err("damaged"),
+            shard.column::<PairRow, String>("id").expect_err("damaged"),
+        ] {
+            let expected = Some(("E-CORRUPT", Some(path.display().to_string())));
+            assert_eq!(error.code(), expected, "{error}");
         }
     }
 

@@ -14,47 +14,22 @@ use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::{Row as _, ShardReader};
 use datasets_spec::{Dataset, MotionId};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Derived {
-    Seconds,
-    MaxSpeed,
-    FootSkate,
-    Flags,
-    Texts,
-    PartTexts,
-    NumCaptions,
-    HasMask,
-    HasPair,
+datasets_spec::named! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub(crate) enum Derived, named by name {
+        Seconds = "seconds",
+        MaxSpeed = "max_speed",
+        FootSkate = "foot_skate",
+        Flags = "flags",
+        Texts = "texts",
+        PartTexts = "part_texts",
+        NumCaptions = "n_captions",
+        HasMask = "has_mask",
+        HasPair = "has_pair",
+    }
 }
 
 impl Derived {
-    /// All derived columns, in order.
-    pub(crate) const ALL: [Self; 9] = [
-        Self::Seconds,
-        Self::MaxSpeed,
-        Self::FootSkate,
-        Self::Flags,
-        Self::Texts,
-        Self::PartTexts,
-        Self::NumCaptions,
-        Self::HasMask,
-        Self::HasPair,
-    ];
-
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Seconds => "seconds",
-            Self::MaxSpeed => "max_speed",
-            Self::FootSkate => "foot_skate",
-            Self::Flags => "flags",
-            Self::Texts => "texts",
-            Self::PartTexts => "part_texts",
-            Self::NumCaptions => "n_captions",
-            Self::HasMask => "has_mask",
-            Self::HasPair => "has_pair",
-        }
-    }
-
     pub(crate) fn data_type(self) -> DataType {
         match self {
             Self::Seconds => DataType::Float64,

@@ -245,6 +245,7 @@ impl VisitorMut for Rewriting<'_> {
     }
 
     fn post_visit_expr(&mut self, expr: &mut Expr) -> ControlFlow<String> {
+        let list = |expr: &Expr| self.names.list(expr);
         let made = match expr {
             Expr::Like {
                 negated,
@@ -266,26 +267,19 @@ impl VisitorMut for Rewriting<'_> {
                     BinaryOperator::NotEq => Some(true),
                     _ => None,
                 };
-                let list = self.names.list(left).zip(negated);
-                Ok(list
+                let found = list(left).zip(negated);
+                Ok(found
                     .map(|(list, negated)| one_of(&list, negated, std::slice::from_ref(&**right))))
             }
             Expr::InList {
                 expr,
                 list: values,
                 negated,
-            } => Ok(self
-                .names
-                .list(expr)
-                .map(|list| one_of(&list, *negated, values))),
-            Expr::IsNull(inner) => Ok(self
-                .names
-                .list(inner)
-                .map(|list| format!("array_length({list}) = 0"))),
-            Expr::IsNotNull(inner) => Ok(self
-                .names
-                .list(inner)
-                .map(|list| format!("array_length({list}) > 0"))),
+            } => Ok(list(expr).map(|list| one_of(&list, *negated, values))),
+            Expr::IsNull(inner) => Ok(list(inner).map(|list| format!("array_length({list}) = 0"))),
+            Expr::IsNotNull(inner) => {
+                Ok(list(inner).map(|list| format!("array_length({list}) > 0")))
+            }
             Expr::Function(function) => Ok(self.length(function)),
             Expr::Cast {
                 kind: CastKind::Cast | CastKind::DoubleColon,
@@ -481,12 +475,7 @@ pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
                 return ControlFlow::Continue(());
             }
             let table = MotionRow::TABLE;
-            let columns = self
-                .names
-                .tables
-                .get(table)
-                .map(Vec::as_slice)
-                .unwrap_or_default();
+            let columns = self.names.tables.get(table).map_or(&[][..], Vec::as_slice);
             let parts: &[Ident] = match expr {
                 Expr::Identifier(ident) => std::slice::from_ref(ident),
                 Expr::CompoundIdentifier(parts) => parts,

@@ -67,12 +67,8 @@ impl Scan {
     }
 
     fn read(&self, names: &[&str]) -> Result<pl::DataFrame, String> {
-        let derived: Vec<Derived> = Derived::ALL
-            .into_iter()
-            .filter(|derived| {
-                names.contains(&derived.name()) && !self.stored.contains_key(derived.name())
-            })
-            .collect();
+        let derived = names.iter().filter(|name| !self.stored.contains_key(*name));
+        let derived: Vec<Derived> = derived.filter_map(|name| Derived::of_name(name)).collect();
         let mut wanted: BTreeSet<&str> = derived
             .iter()
             .flat_map(|derived| derived.needs())
@@ -85,7 +81,7 @@ impl Scan {
             .map(|derived| Ok((derived, derived.beside(&self.dataset)?)))
             .collect::<Result<Vec<_>, datasets_spec::Error>>()
             .map_err(|error| error.to_string())?;
-        let parts: Vec<pl::DataFrame> = self
+        let mut parts = self
             .files
             .par_iter()
             .map(|path| {
@@ -98,30 +94,20 @@ impl Scan {
             })
             .collect::<Result<Vec<_>, String>>()?
             .into_iter()
-            .flatten()
-            .collect();
+            .flatten();
         let fails = |error: pl::PolarsError| error.to_string();
-        let mut whole = match parts.split_first() {
-            None => {
-                let schema = names
-                    .iter()
-                    .filter(|name| **name != PLACE)
-                    .filter_map(|name| {
-                        Some(pl::Field::new(
-                            (*name).into(),
-                            self.schema.get(name)?.clone(),
-                        ))
-                    });
-                pl::DataFrame::empty_with_schema(&schema.collect::<pl::Schema>())
-            }
-            Some((first, rest)) => {
-                let mut whole = first.clone();
-                for part in rest {
-                    whole.vstack_mut(part).map_err(fails)?;
-                }
-                whole
-            }
+        let empty = || {
+            let stored = names.iter().filter(|name| **name != PLACE);
+            let fields = stored.filter_map(|name| {
+                let data_type = self.schema.get(name)?.clone();
+                Some(pl::Field::new((*name).into(), data_type))
+            });
+            pl::DataFrame::empty_with_schema(&fields.collect::<pl::Schema>())
         };
+        let mut whole = parts.next().unwrap_or_else(empty);
+        for part in parts {
+            whole.vstack_mut(&part).map_err(fails)?;
+        }
         if names.contains(&PLACE) {
             let height = u32::try_from(whole.height()).map_err(|error| error.to_string())?;
             let places = pl::UInt32Chunked::from_vec(PLACE.into(), (0..height).collect());

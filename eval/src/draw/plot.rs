@@ -178,11 +178,8 @@ pub fn plot(plot: &Plot) -> String {
 /// horizontal ones. Negative heights are drawn as 0.
 pub fn bar_chart(chart: &Bars) -> String {
     let bars = &chart.bars;
-    let highest = bars
-        .iter()
-        .map(|(_, value)| *value)
-        .filter(|value| value.is_finite())
-        .fold(0.0, f64::max);
+    let heights = bars.iter().map(|(_, value)| bar_height(*value));
+    let highest = heights.fold(0.0, f64::max);
     if highest == 0.0 {
         return without_values(begin(SIZE, &chart.title));
     }
@@ -288,11 +285,9 @@ pub fn histogram(values: &[f64], max_bins: usize) -> Vec<(String, f64)> {
         let bin = ((value / width).floor() - first) as usize;
         counts[bin.min(num_bins - 1)] += 1.0;
     }
-    counts
-        .into_iter()
-        .enumerate()
-        .map(|(bin, count)| (tick_text((first + bin as f64) * width, width), count))
-        .collect()
+    let label = |bin: usize| tick_text((first + bin as f64) * width, width);
+    let bins = counts.into_iter().enumerate();
+    bins.map(|(bin, count)| (label(bin), count)).collect()
 }
 
 fn colour(index: usize) -> &'static str {
@@ -382,21 +377,14 @@ struct Axes {
 impl Axes {
     /// Axes that contain all drawable points and intervals; `None` without drawable points.
     fn around(plot: &Plot) -> Option<Self> {
-        let scale = plot.y_scale;
-        let points = || {
-            plot.curves
-                .iter()
-                .flat_map(|curve| &curve.points)
-                .filter_map(move |&point| on_scale(point, scale))
-        };
-        let ends = || {
-            plot.curves
-                .iter()
-                .flat_map(Curve::interval_ends)
-                .filter_map(move |point| on_scale(point, scale))
-        };
-        let (left, right) = extent(points().map(|point| point.0))?;
-        let (low, high) = extent(points().chain(ends()).map(|point| point.1))?;
+        let (curves, scale) = (&plot.curves, plot.y_scale);
+        let drawn = |point| on_scale(point, scale);
+        let points = curves.iter().flat_map(|curve| &curve.points);
+        let points: Vec<(f64, f64)> = points.copied().filter_map(drawn).collect();
+        let ends = curves.iter().flat_map(Curve::interval_ends);
+        let all = points.iter().copied().chain(ends.filter_map(drawn));
+        let (left, right) = extent(points.iter().map(|point| point.0))?;
+        let (low, high) = extent(all.map(|point| point.1))?;
         let (left, right) = match plot.x_names.len() {
             0 => widened(left, right),
             names => (-0.5, names as f64 - 0.5),

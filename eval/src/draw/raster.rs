@@ -24,20 +24,12 @@ pub enum RasterError {
     /// The drawing is not valid SVG: a bug in the code that made it.
     #[error("the drawing is no valid SVG")]
     Svg(#[from] resvg::usvg::Error),
-    /// The picture would have no pixel, or too many.
-    #[error("a picture of {width} x {height} pixels cannot be made")]
-    Size {
-        /// Width in pixels.
-        width: u32,
-        /// Height in pixels.
-        height: u32,
-    },
-    /// The PNG could not be encoded.
-    #[error("the picture cannot be encoded as PNG: {reason}")]
-    Png {
-        /// Error message of the encoder.
-        reason: String,
-    },
+    /// The picture would have no pixel, or too many: its width and height.
+    #[error("a picture of {0} x {1} pixels cannot be made")]
+    Size(u32, u32),
+    /// The PNG could not be encoded, for the reason that the encoder gives.
+    #[error("the picture cannot be encoded as PNG: {0}")]
+    Png(String),
     /// The GIF could not be encoded.
     #[error("the picture cannot be encoded as GIF")]
     Gif(#[from] gif::EncodingError),
@@ -66,17 +58,11 @@ fn options() -> Options<'static> {
 fn pixels(svg: &str, options: &Options, zoom: f32) -> Result<Pixmap, RasterError> {
     let tree = Tree::from_str(svg, options)?;
     let size = tree.size();
-    let (width, height) = (
-        (size.width() * zoom).ceil() as u32,
-        (size.height() * zoom).ceil() as u32,
-    );
-    let mut pixmap = Pixmap::new(width, height).ok_or(RasterError::Size { width, height })?;
+    let [width, height] = [size.width(), size.height()].map(|side| (side * zoom).ceil() as u32);
+    let mut pixmap = Pixmap::new(width, height).ok_or(RasterError::Size(width, height))?;
     pixmap.fill(Color::WHITE);
-    resvg::render(
-        &tree,
-        Transform::from_scale(zoom, zoom),
-        &mut pixmap.as_mut(),
-    );
+    let scale = Transform::from_scale(zoom, zoom);
+    resvg::render(&tree, scale, &mut pixmap.as_mut());
     Ok(pixmap)
 }
 
@@ -85,10 +71,8 @@ fn pixels(svg: &str, options: &Options, zoom: f32) -> Result<Pixmap, RasterError
 /// # Errors
 /// The document is not SVG, or the picture has no pixel.
 pub fn png(svg: &str, zoom: f32) -> Result<Vec<u8>, RasterError> {
-    let pixmap = pixels(svg, &options(), zoom)?;
-    pixmap.encode_png().map_err(|error| RasterError::Png {
-        reason: error.to_string(),
-    })
+    let encoded = pixels(svg, &options(), zoom)?.encode_png();
+    encoded.map_err(|error| RasterError::Png(error.to_string()))
 }
 
 /// Draws clips side by side as an endlessly repeating GIF with `zoom` pixels per unit. It lasts at most half a minute.
@@ -99,30 +83,28 @@ pub fn gif(rows: &[Row], zoom: f32) -> Result<Vec<u8>, RasterError> {
     let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
     let count = ((longest * GIF_FPS).floor() as usize + 1).min(MAX_FRAMES);
     let options = options();
-    let mut out = Vec::new();
-    let mut encoder: Option<Encoder<&mut Vec<u8>>> = None;
-    let mut target = Some(&mut out);
+    let mut encoder: Option<Encoder<Vec<u8>>> = None;
     for index in 0..count {
         let svg = moment(rows, index as f64 / GIF_FPS);
         let mut pixmap = pixels(&svg, &options, zoom)?;
         let (width, height) = (pixmap.width(), pixmap.height());
-        let size = RasterError::Size { width, height };
+        let size = RasterError::Size(width, height);
         let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height)) else {
             return Err(size);
         };
-        if let Some(out) = target.take() {
-            let mut started = Encoder::new(out, width, height, &[])?;
-            started.set_repeat(Repeat::Infinite)?;
-            encoder = Some(started);
-        }
+        let encoder = match &mut encoder {
+            Some(begun) => begun,
+            None => {
+                let mut begun = Encoder::new(Vec::new(), width, height, &[])?;
+                begun.set_repeat(Repeat::Infinite)?;
+                encoder.insert(begun)
+            }
+        };
         let mut frame = Frame::from_rgba_speed(width, height, pixmap.data_mut(), QUANTISER_SPEED);
         frame.delay = (100.0 / GIF_FPS) as u16;
-        if let Some(encoder) = &mut encoder {
-            encoder.write_frame(&frame)?;
-        }
+        encoder.write_frame(&frame)?;
     }
-    drop(encoder);
-    Ok(out)
+    Ok(encoder.expect("at least one frame").into_inner()?)
 }
 
 #[cfg(test)]

@@ -508,13 +508,10 @@ impl Figure {
                 HALO_WIDTH_M * pen.scale
             ));
         }
-        let mut order: Vec<(f64, usize)> = LIMBS
-            .iter()
-            .enumerate()
-            .map(|(index, limb)| (self.depth(limb), index))
-            .collect();
-        order.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (_, index) in order {
+        let depth = |index: usize| self.depth(&LIMBS[index]);
+        let mut order: Vec<usize> = (0..LIMBS.len()).collect();
+        order.sort_by(|&a, &b| depth(a).total_cmp(&depth(b)));
+        for index in order {
             if index == 0 {
                 self.draw_trunk(svg, pen);
             }

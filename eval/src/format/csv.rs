@@ -33,8 +33,8 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
 }
 
 /// A line of CSV with its line end. Cells with commas, quotation marks or line breaks are put in quotation marks.
-pub fn line(cells: &[String]) -> String {
-    let cells: Vec<String> = cells.iter().map(|cell| quoted(cell)).collect();
+pub fn line(cells: &[impl AsRef<str>]) -> String {
+    let cells: Vec<String> = cells.iter().map(|cell| quoted(cell.as_ref())).collect();
     cells.join(",") + "\n"
 }
 

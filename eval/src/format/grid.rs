@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::csv::line;
+use super::latex::escaped;
 
 /// A table of text cells.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -67,17 +68,14 @@ impl Grid {
     /// The table in LaTeX, with the rules of the package `booktabs`.
     pub fn latex(&self) -> String {
         let line = |cells: &[String]| {
-            let cells: Vec<String> = cells
-                .iter()
-                .map(|cell| super::latex::escaped(cell))
-                .collect();
+            let cells: Vec<String> = cells.iter().map(|cell| escaped(cell)).collect();
             format!("{} \\\\\n", cells.join(" & "))
         };
         let columns = "r".repeat(self.head.len().saturating_sub(1));
         let rows: String = self.rows.iter().map(|row| line(row)).collect();
         format!(
             "% {}\n\\begin{{tabular}}{{l{columns}}}\n\\toprule\n{}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n",
-            super::latex::comment(&self.title),
+            super::on_one_line(&self.title),
             line(&self.head),
         )
     }

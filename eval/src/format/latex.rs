@@ -1,6 +1,6 @@
 //! LaTeX tables with the rules of the package `booktabs`.
 
-use super::{RowGroup, row_name};
+use super::{on_one_line, row_name};
 use crate::metric::Better;
 use crate::table::Table;
 
@@ -13,13 +13,14 @@ pub fn render(tables: &[Table]) -> String {
 fn table_text(table: &Table) -> String {
     let mut text = String::new();
     if let Some(reason) = &table.unranked {
+        // A comment ends with its line.
         text.push_str(&format!(
             "% {}\n{{\\footnotesize {}\\par}}\\smallskip\n",
-            comment(reason),
+            on_one_line(reason),
             escaped(reason)
         ));
     }
-    text.push_str(&format!("% {}\n", comment(&table.head())));
+    text.push_str(&format!("% {}\n", on_one_line(&table.head())));
     text.push_str(&format!(
         "\\begin{{tabular}}{{l{}}}\n\\toprule\nMethod",
         "r".repeat(table.columns.len())
@@ -35,11 +36,10 @@ fn table_text(table: &Table) -> String {
     text.push_str(" \\\\\n\\midrule\n");
     let mut previous = None;
     for row in &table.rows {
-        let group = RowGroup::of(row);
-        if previous.is_some_and(|previous| previous != group) {
+        if previous.is_some_and(|previous| previous != row.group) {
             text.push_str("\\midrule\n");
         }
-        previous = Some(group);
+        previous = Some(row.group);
         text.push_str(&escaped(&row_name(row)));
         for (cell, column) in row.cells.iter().zip(&table.columns) {
             text.push_str(" & ");
@@ -68,13 +68,6 @@ fn table_text(table: &Table) -> String {
         ));
     }
     text
-}
-
-/// The text on one line, as a TeX comment requires.
-pub(super) fn comment(text: &str) -> String {
-    text.chars()
-        .map(|c| if c.is_control() { ' ' } else { c })
-        .collect()
 }
 
 /// Escapes the characters that are special in TeX.

@@ -7,7 +7,7 @@ pub mod latex;
 pub mod markdown;
 pub mod text;
 
-use crate::table::Row;
+use crate::table::{Row, RowGroup};
 
 /// Placeholder of a value that was not measured.
 pub const ABSENT: &str = "–";
@@ -16,29 +16,15 @@ const PUBLISHED: &str = "(published)";
 /// Heading of the published rows.
 pub(crate) const PUBLISHED_HEADING: &str = "Published, not measured here";
 
-/// Groups of rows, which formats separate visually.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum RowGroup {
-    Baseline,
-    System,
-    Published,
-}
-
-impl RowGroup {
-    pub(crate) fn of(row: &Row) -> Self {
-        match (row.published, row.baseline) {
-            (true, _) => Self::Published,
-            (false, true) => Self::Baseline,
-            (false, false) => Self::System,
-        }
-    }
+/// The text with a space for each control character, such as a line break.
+fn on_one_line(text: &str) -> String {
+    text.replace(char::is_control, " ")
 }
 
 /// The name of a row, marked if its values were not measured.
-pub(crate) fn row_name(row: &Row) -> String {
-    if row.published {
-        format!("{} {PUBLISHED}", row.system)
-    } else {
-        row.system.clone()
+fn row_name(row: &Row) -> String {
+    match row.group {
+        RowGroup::Published => format!("{} {PUBLISHED}", row.system),
+        RowGroup::Baseline | RowGroup::System => row.system.clone(),
     }
 }

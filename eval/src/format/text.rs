@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::{ABSENT, PUBLISHED_HEADING, RowGroup};
+use super::{ABSENT, PUBLISHED_HEADING, on_one_line};
 use crate::metric::Column;
-use crate::table::{Cell, Table};
+use crate::table::{Cell, RowGroup, Table};
 
 /// Assumed width of a terminal in characters.
 pub const MAX_WIDTH: usize = 160;
@@ -63,14 +63,13 @@ fn table_text(table: &Table) -> String {
     let mut previous = None;
     for (index, row) in table.rows.iter().enumerate() {
         let cells: Vec<String> = columns.iter().map(|cells| cells[index].clone()).collect();
-        let group = RowGroup::of(row);
-        if previous.is_some_and(|previous| previous != group) {
+        if previous.is_some_and(|previous| previous != row.group) {
             text.push('\n');
         }
-        if group == RowGroup::Published && previous != Some(group) {
+        if row.group == RowGroup::Published && previous != Some(row.group) {
             push_line(&mut text, PUBLISHED_HEADING);
         }
-        previous = Some(group);
+        previous = Some(row.group);
         push_line(&mut text, &line(&row.system, name_width, &cells, &widths));
     }
     push_line(&mut text, &rule);
@@ -85,11 +84,8 @@ fn table_text(table: &Table) -> String {
 /// Width of the column of names: at most `free`, but at least [`MIN_NAME_WIDTH`] and enough to keep names distinct.
 fn name_width(table: &Table, free: usize) -> usize {
     let names: BTreeSet<&str> = table.rows.iter().map(|row| row.system.as_str()).collect();
-    let whole = names
-        .iter()
-        .map(|name| width(name))
-        .chain([width("System")]);
-    let whole = whole.max().unwrap_or(0);
+    let whole = names.iter().map(|name| width(name)).max();
+    let whole = whole.unwrap_or(0).max(width("System"));
     let are_apart = |width: &usize| {
         let cut: BTreeSet<String> = names.iter().map(|name| cut(name, *width)).collect();
         cut.len() == names.len()
@@ -153,12 +149,10 @@ fn cell_parts(cell: Option<&Cell>, column: &Column) -> (String, String) {
     let Some(cell) = cell else {
         return (ABSENT.to_owned(), String::new());
     };
-    let mean = cell.mean_text(column.metric);
-    let mean = if cell.best {
-        format!("{BEST}{mean}")
-    } else {
-        mean
-    };
+    let mut mean = cell.mean_text(column.metric);
+    if cell.best {
+        mean.insert(0, BEST);
+    }
     // As in the paper, a half width below one has no leading zero, which saves width.
     let half_width = cell.ci_text(column.metric).replacen("±0.", "±.", 1);
     (mean, half_width)
@@ -172,10 +166,7 @@ fn width(text: &str) -> usize {
 /// Shortens a text to at most `max_width` columns by cutting out its middle.
 fn cut(text: &str, max_width: usize) -> String {
     // Control characters of a system's name must not move the cursor.
-    let text: String = text
-        .chars()
-        .map(|c| if c.is_control() { ' ' } else { c })
-        .collect();
+    let text = on_one_line(text);
     let length = width(&text);
     if length <= max_width {
         return text;

@@ -271,10 +271,8 @@ impl fmt::Display for Metric {
 
 /// Refuses rows that contain NaN or infinity, which would spread through a metric unnoticed.
 pub(super) fn check_finite(metric: &str, rows: &Matrix) -> Result<(), Error> {
-    match rows
-        .rows()
-        .position(|row| row.iter().any(|value| !value.is_finite()))
-    {
+    let mut rows = rows.rows();
+    match rows.position(|row| row.iter().any(|value| !value.is_finite())) {
         Some(row) => Err(not_finite(metric, row)),
         None => Ok(()),
     }

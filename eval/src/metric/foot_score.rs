@@ -2,7 +2,6 @@
 
 use datasets_spec::{Fps, Joint};
 use glam::DVec3;
-use kinematics::KeypointFrame;
 
 use super::definition::{Better, Measure, Metric, Part};
 use crate::protocol::Floor;
@@ -40,9 +39,9 @@ const STILL_SPEED: f64 = 0.075;
 /// Height in metres below which a foot joint counts as touching the floor (DIMOS).
 const TOUCH_HEIGHT: f64 = 0.05;
 
-/// The foot joints among keypoints; the first 22 keypoints are the body joints.
-fn feet(keypoints: &[KeypointFrame]) -> Vec<Feet> {
-    keypoints
+/// The foot joints among the points of frames, of which the first are the body joints.
+pub fn feet<const K: usize>(frames: &[[DVec3; K]]) -> Vec<Feet> {
+    frames
         .iter()
         .map(|frame| FOOT_JOINTS.map(|joint| frame[joint.index()]))
         .collect()

@@ -54,8 +54,8 @@ const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSumma
             Median => Part::Further,
         },
         better: match (counterpart, summary) {
-            (Source, Recall(_)) => source_recall,
-            (Source, Average | Median) => source_rank,
+            (Source, Recall(_)) => |task| where_preserving(task, Better::Higher),
+            (Source, Average | Median) => |task| where_preserving(task, Better::Lower),
             (Target, Recall(_)) => |_| Better::Higher,
             (Target, Average | Median) => |_| Better::Lower,
         },
@@ -67,24 +67,15 @@ const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSumma
 /// Tasks whose edits keep most of their original.
 const PRESERVING: [&str; 2] = ["fine-grained", "motionfix"];
 
-/// Which recalls of the source are good for a task.
+/// Which ranks or recalls of the source are good for a task; `good` is the answer for tasks of [`PRESERVING`].
 ///
 /// # Source
 /// In Table 1 (body parts, style), a good E2S recall is close to that of the real data: a higher one means that too
 /// little was edited. In Table A1 (fine-grained) and Table 2, higher is better.
-fn source_recall(task: &str) -> Better {
-    if PRESERVING.contains(&task) {
-        Better::Higher
-    } else {
-        Better::NearReal
-    }
-}
-
-fn source_rank(task: &str) -> Better {
-    if PRESERVING.contains(&task) {
-        Better::Lower
-    } else {
-        Better::NearReal
+fn where_preserving(task: &str, good: Better) -> Better {
+    match PRESERVING.contains(&task) {
+        true => good,
+        false => Better::NearReal,
     }
 }
 

@@ -234,6 +234,7 @@ mod tests {
     use crate::draw::plot::{Curve, Scale};
     use crate::draw::strip::{HALO, Row};
     use crate::draw::tests::check_nesting;
+    use crate::table::RowGroup;
     use crate::table::tests::sample_table;
 
     /// Text that would run as a script if it were taken for markup.
@@ -255,7 +256,7 @@ mod tests {
         for row in &mut table.rows {
             row.system = text();
         }
-        table.rows[1].published = true;
+        table.rows[1].group = RowGroup::Published;
         table.rows[1].cells[3] = None;
         let strip = Strip {
             caption: text(),

@@ -3,9 +3,9 @@
 use std::fmt::Write;
 
 use crate::draw::escaped;
-use crate::format::{PUBLISHED_HEADING, RowGroup};
+use crate::format::PUBLISHED_HEADING;
 use crate::metric::{Column, Metric};
-use crate::table::{Cell, Table};
+use crate::table::{Cell, RowGroup, Table};
 
 /// All tables, each under the name of its task, as HTML.
 pub(super) fn html(tables: &[Table]) -> String {
@@ -29,16 +29,15 @@ pub(super) fn html(tables: &[Table]) -> String {
         html.push_str("</thead>\n<tbody>\n");
         let mut previous = None;
         for row in &table.rows {
-            let group = RowGroup::of(row);
-            if group == RowGroup::Published && previous != Some(group) {
+            if row.group == RowGroup::Published && previous != Some(row.group) {
                 let _ = writeln!(
                     html,
                     "<tr class=\"divider\"><th colspan=\"{}\">{PUBLISHED_HEADING}</th></tr>",
                     table.columns.len() + 1
                 );
             }
-            previous = Some(group);
-            let class = match group {
+            previous = Some(row.group);
+            let class = match row.group {
                 RowGroup::Baseline => " class=\"baseline\"",
                 RowGroup::System => "",
                 RowGroup::Published => " class=\"published\"",

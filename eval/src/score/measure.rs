@@ -29,6 +29,8 @@ pub(crate) struct Measured<'a> {
     pub(crate) systems: Vec<System<'a>>,
     /// Measurements of the targets from other captures, for the items that have one.
     pub(super) floor: Option<Take>,
+    /// Hash of the classifier, if there is one.
+    pub(super) classifier: Option<String>,
 }
 
 /// The takes of one system.
@@ -142,6 +144,7 @@ pub(crate) fn measured<'a>(
         sources,
         systems: found,
         floor,
+        classifier: evaluators.classifier.map(|classifier| classifier.hash()),
     })
 }
 
@@ -237,11 +240,7 @@ fn edits<'a>(
 }
 
 fn not_a_motion(system: &str, id: &str, source: datasets_spec::Error) -> Error {
-    Error::Motion {
-        system: system.to_owned(),
-        id: id.to_owned(),
-        source: Box::new(source),
-    }
+    Error::Motion(system.to_owned(), id.to_owned(), Box::new(source))
 }
 
 impl Subject<'_> {
@@ -296,12 +295,7 @@ struct OfMotions<'a> {
 impl OfMotions<'_> {
     /// The value of each metric; NaN if the motion has none.
     fn values(&self, subject: &Subject<'_>, composed: Option<f64>) -> Vec<f64> {
-        let Subject {
-            asked,
-            motion,
-            edit,
-            ..
-        } = subject;
+        let (asked, motion, edit) = (subject.asked, &subject.motion, subject.edit);
         let fps = motion.fps();
         let keypoints = self.skeleton.motion_keypoints(motion).points;
         // An edit has the length of its source; the frames that a shorter one lacks are scored as its last pose.
@@ -318,7 +312,7 @@ impl OfMotions<'_> {
             distances: &distances,
             acceleration: motion_quality::seam_acceleration(&keypoints, fps, &seams),
             edited: asked.edited,
-            edit: *edit,
+            edit,
             composed,
             protocol: self.protocol,
         };
@@ -380,10 +374,8 @@ impl<'a> Measuring<'a> {
             .zip(indices)
             .map(|(row, &index)| {
                 let id = test_set.item(index).id.as_str();
-                Asked::new(id, &row, skeleton).map_err(|source| Error::Item {
-                    id: id.to_owned(),
-                    source: Box::new(source),
-                })
+                let asked = Asked::new(id, &row, skeleton);
+                asked.map_err(|source| Error::Item(id.to_owned(), Box::new(source)))
             })
             .collect()
     }
@@ -437,11 +429,8 @@ impl<'a> Measuring<'a> {
         let Some(classifier) = self.evaluators.classifier else {
             return Ok(None);
         };
-        let shares = classifier.composed(motions);
-        shares.map(Some).map_err(|source| Error::Encoder {
-            system: subjects[0].system.to_owned(),
-            source,
-        })
+        let shares = classifier.composed(motions).map(Some);
+        shares.map_err(|source| Error::Encoder(subjects[0].system.to_owned(), source))
     }
 
     /// Encodes motions and checks that the latents are finite and have a nonzero length.
@@ -453,10 +442,8 @@ impl<'a> Measuring<'a> {
     ) -> Result<Vec<Vec<f64>>, Error> {
         let system = subjects[0].system;
         let encoder = self.evaluators.encoder;
-        let latents = encoder.encode(motions).map_err(|source| Error::Encoder {
-            system: system.to_owned(),
-            source,
-        })?;
+        let latents = encoder.encode(motions);
+        let latents = latents.map_err(|source| Error::Encoder(system.to_owned(), source))?;
         if latents.len() != motions.len() {
             return Err(Error::Invalid(format!(
                 "the encoder returned {} latents for {} motions of system {system:?}",

@@ -24,11 +24,14 @@ use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 use crate::table::Items;
 
-pub(crate) use measure::{Measured, System, Take, measured};
+use measure::Measured;
+use values::{Galleries, Ranks, of_items};
+
+pub(crate) use measure::{System, measured};
 pub(crate) use resample::{Resamples, drawn};
 pub(crate) use test_set::TestSet;
 pub use trainings::over_trainings;
-pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
+pub(crate) use values::OfItems;
 
 /// Scores every system that edited a test set.
 ///
@@ -77,22 +80,23 @@ pub fn score(
 }
 
 /// The systems, restricted to the items of one task.
-struct OfTask<'a> {
-    task: &'a str,
+pub(crate) struct OfTask<'a> {
+    pub(crate) task: &'a str,
     /// The real data, the identity editor, the noise floor if there is one, and the systems sorted by name.
-    systems: Vec<System<'a>>,
+    pub(crate) systems: Vec<System<'a>>,
     /// Ranks of each system.
     ranks: Vec<Ranks>,
     /// Values of each item, for each system.
     of_items: Vec<OfItems>,
-    resamples: Resamples,
-    counts: Items,
+    pub(crate) resamples: Resamples,
+    pub(crate) counts: Items,
     latent_width: usize,
-    protocol: &'a Protocol,
+    classifier: Option<String>,
+    pub(crate) protocol: &'a Protocol,
 }
 
 impl<'a> OfTask<'a> {
-    fn new(
+    pub(crate) fn new(
         task: &'a str,
         indices: &[usize],
         test_set: &TestSet<'a>,
@@ -132,8 +136,18 @@ impl<'a> OfTask<'a> {
             resamples: Resamples::new(test_set.targets(indices), protocol),
             counts: test_set.counts(indices),
             latent_width: sources.latents.raw.num_cols(),
+            classifier: measured.classifier.clone(),
             protocol,
         })
+    }
+
+    /// A protocol in words, with the coordinator that classified the motions, if one did.
+    pub(crate) fn named(&self, protocol: &Protocol) -> String {
+        let name = protocol.name(self.counts.count as usize);
+        match &self.classifier {
+            Some(hash) => format!("{name}; coordinator {hash:.12}"),
+            None => name,
+        }
     }
 
     /// One row for each system and metric.
@@ -241,7 +255,7 @@ impl<'a> OfTask<'a> {
             system: system.name.to_owned(),
             task: self.task.to_owned(),
             metric: metric.to_owned(),
-            protocol: protocol.name(num_items),
+            protocol: self.named(protocol),
             encoder_hash: encoder_hash.to_owned(),
             n: counts.count,
             repeats: protocol.repeats as u32,
@@ -260,12 +274,21 @@ impl<'a> OfTask<'a> {
         }
     }
 
+    /// Two systems, given by their positions.
+    pub(crate) fn pairing(&self, pair: [usize; 2]) -> Pairing<'_> {
+        Pairing {
+            task: self.task,
+            real: &self.of_items[0],
+            sides: pair.map(|place| &self.of_items[place]),
+            resamples: &self.resamples,
+        }
+    }
+
     /// Paired differences in the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor
     /// and against the next worse system in E2T R@1.
     fn claims(&self, encoder: &dyn MotionEncoder) -> Vec<Comparison> {
-        let (values, task, protocol) = (&self.of_items, self.task, self.protocol);
         let recall = |place: usize| -> f64 {
-            let of_system = values[place].get(&E2T_RECALL_1);
+            let of_system = self.of_items[place].get(&E2T_RECALL_1);
             let known = of_system.into_iter().flatten();
             known.filter(|value| value.is_finite()).sum()
         };
@@ -275,28 +298,11 @@ impl<'a> OfTask<'a> {
         ranked.sort_by(|&a, &b| recall(b).total_cmp(&recall(a)));
         let against_identity = ranked.iter().map(|&place| [1, place]);
         let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
-        let pairs = against_identity.chain(neighbours);
-        let reason = unranked(encoder, [&values[0], &values[1]], &self.resamples);
         let of_pair = |pair: [usize; 2]| {
-            let pairing = Pairing {
-                task,
-                real: &values[0],
-                sides: pair.map(|place| &values[place]),
-                resamples: &self.resamples,
-            };
-            let systems = pair.map(|place| self.systems[place].name);
-            let (counts, claims) = (&self.counts, pairing.differences(&CLAIMS));
-            Comparison::new(
-                task,
-                counts,
-                systems,
-                protocol,
-                encoder,
-                reason.clone(),
-                claims,
-            )
+            let claims = self.pairing(pair).differences(&CLAIMS);
+            Comparison::new(self, pair, self.protocol, encoder, claims)
         };
-        pairs.map(of_pair).collect()
+        against_identity.chain(neighbours).map(of_pair).collect()
     }
 }
 

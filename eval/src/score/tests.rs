@@ -9,7 +9,7 @@ use super::*;
 use crate::answered::ITEMS_AT_ONCE;
 use crate::compare::{Comparison, compare};
 use crate::error::EncoderError;
-use crate::evaluators::MotionEncoder;
+use crate::evaluators::{MotionClassifier, MotionEncoder};
 use crate::judge::TOLD_APART;
 use crate::metric::Metric;
 use crate::metric::composed::COMPOSED;
@@ -160,6 +160,37 @@ fn found<'a>(scores: &'a [ScoreRow], task: &str, system: &str, metric: &Metric) 
 
 fn value(scores: &[ScoreRow], task: &str, system: &str, metric: &Metric) -> f64 {
     found(scores, task, system, metric).mean
+}
+
+/// A classifier that finds every window natural.
+struct Natural;
+
+impl MotionClassifier for Natural {
+    fn composed(&self, motions: &[&Motion]) -> Result<Vec<Option<f64>>, EncoderError> {
+        Ok(vec![Some(0.0); motions.len()])
+    }
+
+    fn hash(&self) -> String {
+        "0123456789abcdef".to_owned()
+    }
+}
+
+#[test]
+fn the_protocol_of_scores_and_comparisons_names_the_coordinator() {
+    let items = questions(20);
+    let answered = answered(&items, &perfect("perfect", &items));
+    let encoder = Encoder(first_frame);
+    let evaluators = Evaluators {
+        classifier: Some(&Natural),
+        ..by(&encoder, &answered)
+    };
+    let (scores, comparisons) =
+        score(&answered, evaluators, &Protocol::default(), &NoProgress).expect("valid");
+    assert_eq!(value(&scores, "all", "perfect", &COMPOSED), 0.0);
+    let of_scores = scores.iter().map(|row| &row.protocol);
+    let of_comparisons = comparisons.iter().map(|found| &found.protocol);
+    let mut protocols = of_scores.chain(of_comparisons);
+    assert!(protocols.all(|protocol| protocol.ends_with("; coordinator 0123456789ab")));
 }
 
 #[test]

@@ -7,6 +7,7 @@ use datasets_spec::record::ScoreRow;
 use crate::judge::{Judges, TableOf, table_of, unranked};
 use crate::metric::{self, Better, Column};
 use crate::names::{GIVEN, IDENTITY, REAL_DATA};
+use crate::protocol::Protocol;
 
 /// How a score compares with the other scores of its table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -42,7 +43,8 @@ pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
 /// Compares the scores of one table, which must be able to rank systems.
 ///
 /// The best systems of a metric are those with the best printed value, provided that it is better than the identity
-/// editor's. A system that does not edit ([`idle`]) is never best.
+/// editor's. A system that does not edit ([`idle`]) is never best. A metric without any interval over test sets, because
+/// too few targets have values of it, ranks nothing.
 pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
     let idle = idle(scores);
     let mut of_metrics: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -58,6 +60,11 @@ pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
         let Some(metric) = metric::from_name(name) else {
             continue;
         };
+        if Protocol::is_drawn_from_targets(&scores[places[0]].protocol)
+            && places.iter().all(|&place| scores[place].ci95.is_none())
+        {
+            continue;
+        }
         let column = Column::of(metric, &scores[places[0]].task);
         let given = |name: &str| {
             let place = places.iter().find(|&&place| scores[place].system == name);

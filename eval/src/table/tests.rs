@@ -7,7 +7,7 @@ use crate::metric::foot_score::FOOT_SCORE;
 use crate::metric::position_error::POSITION_ERROR;
 use crate::metric::{Measure, Part, RankSummary, fid, retrieval};
 use crate::names::{ALL_TASKS, IDENTITY, REAL_DATA};
-use crate::protocol::Protocol;
+use crate::protocol::{Protocol, Spread};
 
 fn paper_columns() -> Vec<&'static Metric> {
     metric::of_part(Part::Paper)
@@ -212,6 +212,31 @@ fn no_system_is_best_where_returning_the_original_is_better() {
 }
 
 #[test]
+fn a_metric_without_intervals_over_test_sets_ranks_nothing() {
+    let error = &POSITION_ERROR;
+    for (ci95, interval, expected) in [
+        (None, Spread::Targets, &[][..]),
+        (Some(9.0), Spread::Targets, &["a"][..]),
+        // Repeats may all agree, and a published table then has no intervals.
+        (None, Spread::Repeats, &["a"][..]),
+    ] {
+        let protocol = Protocol {
+            interval,
+            ..Protocol::default()
+        };
+        let rows = [(IDENTITY, 40.0), ("a", 30.0), ("b", 50.0)].map(|(system, mean)| ScoreRow {
+            ci95,
+            protocol: protocol.name(512),
+            ..score_row("style", system, error, mean)
+        });
+        let shown = table(&rows, &[error]);
+        assert_eq!(best(&shown, error), expected);
+        // Nor is a system called worse than the identity editor.
+        assert_eq!(shown.notes.is_empty(), expected.is_empty());
+    }
+}
+
+#[test]
 fn a_row_that_does_nothing_is_never_best() {
     let (error, fit) = (&POSITION_ERROR, &crate::metric::fit_error::FIT_ERROR);
     let mut rows = vec![
@@ -268,7 +293,7 @@ fn what_is_left_out_for_want_of_items_is_explained() {
     // Intervals over repeats need no targets.
     let over_repeats = ScoreRow {
         protocol: Protocol {
-            interval: crate::protocol::Spread::Repeats,
+            interval: Spread::Repeats,
             ..Protocol::default()
         }
         .name(300),

@@ -10,32 +10,17 @@ use datasets_spec::table::{Caption, PartCaption};
 use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
 use serde::{Deserialize, Serialize};
 
-/// Origin of the rotations of a clip.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RotationSource {
-    /// Stored in the file for this body.
-    Native,
-    /// Stored in the file for another skeleton.
-    Retargeted,
-    /// Fitted to positions of joints or markers.
-    Fitted,
-}
-
-impl RotationSource {
-    /// The name used in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Native => "native",
-            Self::Retargeted => "retargeted",
-            Self::Fitted => "fitted",
-        }
-    }
-
-    /// The origin with this name; [`RotationSource::Native`] if the name is unknown.
-    pub fn of_name(name: &str) -> Self {
-        let all = [Self::Retargeted, Self::Fitted];
-        let found = all.into_iter().find(|source| source.as_str() == name);
-        found.unwrap_or(Self::Native)
+datasets_spec::named! {
+    /// Origin of the rotations of a clip.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum RotationSource, named by as_str {
+        /// Stored in the file for this body.
+        #[default]
+        Native = "native",
+        /// Stored in the file for another skeleton.
+        Retargeted = "retargeted",
+        /// Fitted to positions of joints or markers.
+        Fitted = "fitted",
     }
 }
 

@@ -56,12 +56,13 @@ pub fn blend_motion(
     rule: SlerpRule,
 ) -> Result<Motion, Error> {
     if source.len() != target.len() || source.fps() != target.fps() {
-        return Err(Error::OutOfStep {
-            source_frames: source.len(),
-            source_fps: source.fps().get(),
-            target_frames: target.len(),
-            target_fps: target.fps().get(),
-        });
+        return Err(Error::Refused(format!(
+            "cannot blend {} frames at {} with {} frames at {}; crop and resample them first",
+            source.len(),
+            source.fps(),
+            target.len(),
+            target.fps()
+        )));
     }
     let mut blended = source.clone();
     for frame in 0..source.len() {
@@ -232,13 +233,8 @@ mod tests {
         for (frames, fps) in [(4, Fps::STORE), (5, Fps::MODEL)] {
             let (source, target) = (still(5, Fps::STORE), still(frames, fps));
             let blended = blend_motion(&source, &target, mask, 0.5, SlerpRule::Exact);
-            assert!(matches!(
-                blended,
-                Err(Error::OutOfStep {
-                    source_frames: 5,
-                    ..
-                })
-            ));
+            let error = blended.expect_err("out of step").to_string();
+            assert!(error.starts_with("cannot blend 5 frames"), "{error}");
         }
     }
 }

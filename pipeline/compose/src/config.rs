@@ -1,6 +1,5 @@
 //! Settings of the composer.
 
-use std::fmt;
 use std::str::FromStr;
 
 use datasets_spec::Fps;
@@ -116,71 +115,38 @@ impl BaseFilter {
     }
 }
 
-/// Kind of an edit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum EditKind {
-    /// A body part does something else (paper: semantic, release: regen).
-    Semantic,
-    /// A body part moves in another style (release: style_transfer).
-    Style,
-    /// A body part moves a little differently (release: adjustment).
-    FineGrained,
-}
-
-impl EditKind {
-    /// All kinds, in the order of the paper's tables.
-    pub const ALL: [EditKind; 3] = [Self::Semantic, Self::Style, Self::FineGrained];
-
-    /// The name used in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Semantic => "semantic",
-            Self::Style => "style",
-            Self::FineGrained => "fine-grained",
-        }
-    }
-
-    /// The kind of this name.
-    pub fn parse(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.as_str() == name)
+datasets_spec::named! {
+    /// Kind of an edit. The order is that of the paper's tables.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum EditKind, named by as_str {
+        /// A body part does something else (paper: semantic, release: regen).
+        Semantic = "semantic",
+        /// A body part moves in another style (release: style_transfer).
+        Style = "style",
+        /// A body part moves a little differently (release: adjustment).
+        FineGrained = "fine-grained",
     }
 }
 
-/// Task of a test question.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ItemTask {
-    /// A body part does something else.
-    Semantic,
-    /// A body part moves in another style.
-    Style,
-    /// A body part moves a little differently.
-    FineGrained,
-    /// A pair of MotionFix: no donor, no blending, source and target of any length.
-    #[serde(rename = "motionfix")]
-    MotionFix,
+datasets_spec::named! {
+    /// Task of a test question. The order is that of the paper's tables.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum ItemTask, named by as_str {
+        /// A body part does something else.
+        Semantic = "semantic",
+        /// A body part moves in another style.
+        Style = "style",
+        /// A body part moves a little differently.
+        FineGrained = "fine-grained",
+        /// A pair of MotionFix: no donor, no blending, source and target of any length.
+        #[serde(rename = "motionfix")]
+        MotionFix = "motionfix",
+    }
 }
 
 impl ItemTask {
-    /// All tasks, in the order of the paper's tables.
-    pub const ALL: [Self; 4] = [
-        Self::Semantic,
-        Self::Style,
-        Self::FineGrained,
-        Self::MotionFix,
-    ];
-
-    /// The name in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Semantic => EditKind::Semantic.as_str(),
-            Self::Style => EditKind::Style.as_str(),
-            Self::FineGrained => EditKind::FineGrained.as_str(),
-            Self::MotionFix => "motionfix",
-        }
-    }
-
     /// The command that brings masks or pairs of the task into a dataset.
     pub(crate) fn made_by(self) -> &'static str {
         match self {
@@ -196,40 +162,23 @@ impl FromStr for ItemTask {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|task| task.as_str() == name)
-            .ok_or_else(|| {
-                let known = Self::ALL.map(Self::as_str).join(", ");
-                format!("{name:?} is no task; known are {known}")
-            })
+        Self::of_name(name).ok_or_else(|| {
+            let known = Self::ALL.map(Self::as_str).join(", ");
+            format!("{name:?} is no task; known are {known}")
+        })
     }
 }
 
-impl fmt::Display for ItemTask {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
-
-/// Time alignment of two separately captured motions of a pair.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Alignment {
-    /// None: the longer motion is cropped to the length of the shorter.
-    #[default]
-    None,
-    /// The motion before the edit is time-warped to align its poses with the motion after it.
-    TimeWarp,
-}
-
-impl Alignment {
-    /// The name used in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::TimeWarp => "time-warp",
-        }
+datasets_spec::named! {
+    /// Time alignment of two separately captured motions of a pair.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Alignment, named by as_str {
+        /// None: the longer motion is cropped to the length of the shorter.
+        #[default]
+        None = "none",
+        /// The motion before the edit is time-warped to align its poses with the motion after it.
+        TimeWarp = "time-warp",
     }
 }
 
@@ -333,10 +282,10 @@ impl ComposeConfig {
         if ratio >= 1.0 - 1e-9 && (ratio - ratio.round()).abs() < 1e-9 * ratio {
             Ok(ratio.round() as usize)
         } else {
-            Err(Error::Stride {
-                stored: stored.get(),
-                model: self.fps.get(),
-            })
+            Err(Error::Refused(format!(
+                "motions at {stored} cannot be thinned out to {}; ingest at a whole multiple of it",
+                self.fps
+            )))
         }
     }
 
@@ -411,7 +360,8 @@ mod tests {
         assert_eq!(stride, 2);
         assert_eq!((config.span(stride), config.advance(stride)), (31, 28));
         let odd = Fps::new(25.0).expect("valid");
-        assert!(matches!(config.stride(odd), Err(Error::Stride { .. })));
+        let error = config.stride(odd).expect_err("no multiple").to_string();
+        assert!(error.contains("cannot be thinned out"), "{error}");
     }
 
     #[test]

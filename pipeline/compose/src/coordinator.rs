@@ -5,7 +5,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 
 use super::stream::{Room, WindowPlace};
-use super::window::{BlendPlan, PARTS_OF_ORIGINAL};
+use super::window::{BlendPlan, Origin, PARTS_OF_ORIGINAL};
 use super::{Error, Stream};
 
 /// Windows and whether they were composed. The buffers are reused from call to call.
@@ -34,10 +34,18 @@ impl Stream {
         if first.is_some_and(has_other) {
             return Ok(());
         }
-        Err(Error::SingleOrigin {
-            split: self.library.split(),
-            clip: first.map(|&clip| self.library.clip(clip).id.source_clip().to_owned()),
-        })
+        let only = match first {
+            Some(&clip) => {
+                let clip = self.library.clip(clip).id.source_clip();
+                format!("only {clip} and its copies")
+            }
+            None => "no clip".to_owned(),
+        };
+        Err(Error::Refused(format!(
+            "the coordinator learns from segments of two different clips, and the motion base of split {} has {only} \
+             long enough; add motions, raise mcm_ratio or widen base.sources",
+            self.library.split()
+        )))
     }
 
     /// Draws windows for the coordinator: an even item is an unmodified segment of the motion base, an odd one blends a
@@ -95,8 +103,8 @@ impl Stream {
                     let other = draw(Some(at.clip));
                     let plan = &plans[rng.random_range(0..plans.len())];
                     let alpha = self.config.alpha.draw(&mut rng) as f32;
-                    let segment = self.window_of(at, plan.parts_of_source(), room)?;
-                    let taken = self.window_of(other, plan.parts_of_target(), other_room)?;
+                    let segment = self.window_of(at, plan.parts_of(Origin::Source), room)?;
+                    let taken = self.window_of(other, plan.parts_of(Origin::Target), other_room)?;
                     self.composer.blended(segment, taken, plan, alpha, out);
                 }
                 if self.draws_mirrored(&mut rng) {

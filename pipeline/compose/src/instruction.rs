@@ -82,7 +82,10 @@ impl Phrases {
         let whole =
             |template: &String| template.contains("{instruction}") && template.contains("{part}");
         if self.of_parts.is_empty() || !self.of_parts.iter().all(whole) {
-            return Err(Error::Template);
+            return Err(Error::Refused(
+                "phrases.of_parts must hold templates with {instruction} and {part} in each; correct the phrases"
+                    .to_owned(),
+            ));
         }
         Ok(())
     }

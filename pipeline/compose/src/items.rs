@@ -156,18 +156,15 @@ pub fn draw_items<'a>(
     };
     let questions = drawer.draw(&subjects, Quota::of(&config.novelty, count))?;
     let found = digest_of_ids(questions.iter().map(|question| question.id.as_str()));
-    if let Some(expected) = config
-        .digest
-        .as_ref()
-        .filter(|expected| **expected != found)
-    {
-        return Err(Error::OtherSet {
-            expected: expected.clone(),
-            found,
-            count: questions.len(),
-        });
-    }
     let num_drawn = questions.len();
+    if let Some(expected) = &config.digest
+        && *expected != found
+    {
+        return Err(Error::Refused(format!(
+            "{num_drawn} items were drawn whose ids come to {found}, and those of the set come to {expected}: the \
+             dataset is not that of the set, or was made by another version"
+        )));
+    }
     let questions = match config.part {
         Some(part) => Quota::of(&config.novelty, part).first(questions),
         None => questions,
@@ -198,12 +195,14 @@ fn subjects_of(
         let tasks = ItemTask::ALL.into_iter().filter(|task| is_wanted(*task));
         let tasks = tasks.map(|task| format!("{task} ({})", task.made_by()));
         let tasks = tasks.collect::<Vec<_>>().join(", ");
-        return Err(Error::NoTask { split, tasks });
+        return Err(Error::Refused(format!(
+            "split {split} has no mask or pair for items of task {tasks}"
+        )));
     }
     let (usable, short): (Vec<Subject>, Vec<Subject>) = wanted
         .filter(|subject| {
             library.is_asked_as_is(*subject)
-                || config.compose.kinds.contains(&library.kind_of(*subject))
+                || config.compose.kinds.contains(&library.edit(*subject).kind)
         })
         .partition(|subject| {
             library.is_asked_as_is(*subject) || library.frames_of(*subject) >= span
@@ -211,7 +210,7 @@ fn subjects_of(
     let mut subjects: Vec<(u64, Subject)> = usable
         .into_iter()
         .map(|subject| {
-            let id = library.subject_id(subject);
+            let id = &library.edit(subject).id;
             (seed.draw_u64(&["evaluation order", id]), subject)
         })
         .collect();
@@ -453,9 +452,9 @@ impl Drawer<'_> {
             .map(|clip| &library.clip(clip).id);
         let (source, pair) = match subject {
             Subject::Annotation(_) => (source, None),
-            Subject::Pair(_) => (before, Some(library.kind_of(subject))),
+            Subject::Pair(_) => (before, Some(library.edit(subject).kind)),
         };
-        let text = library.text_of(subject);
+        let text = &library.edit(subject).instruction;
         self.shown.novelty([source, after], text, pair)
     }
 
@@ -464,7 +463,7 @@ impl Drawer<'_> {
         let library = &self.library;
         let round = round.to_string();
         let attempt = (attempt > 0).then(|| attempt.to_string());
-        let mut parts = vec!["evaluation item", library.subject_id(subject), &round];
+        let mut parts = vec!["evaluation item", &library.edit(subject).id, &round];
         parts.extend(attempt.as_deref());
         let mut rng = self.seed.rng(&parts);
         let source = match library.is_asked_as_is(subject) {
@@ -514,7 +513,7 @@ impl Drawer<'_> {
         let other = self.other_take(&triplet)?;
         let parts = match pairing.half {
             Some(half) => vec![half.name().to_owned()],
-            None => library.parts_of(subject).to_vec(),
+            None => library.edit(subject).parts.to_vec(),
         };
         let mut row = ItemRow {
             parts,
@@ -537,8 +536,8 @@ impl Drawer<'_> {
         let library = &self.library;
         let [source, target] = library.captured_of(subject).map(|clip| library.clip(clip));
         let mut row = ItemRow {
-            parts: library.parts_of(subject).to_vec(),
-            ..self.blank(subject, library.text_of(subject))
+            parts: library.edit(subject).parts.to_vec(),
+            ..self.blank(subject, &library.edit(subject).instruction)
         };
         row.source_id = source.id.clone();
         row.target_id = target.id.clone();
@@ -548,7 +547,7 @@ impl Drawer<'_> {
 
     fn blank(&self, subject: Subject, instruction: &str) -> ItemRow {
         let library = &self.library;
-        let target = &library.clip(library.target_of(subject)).id;
+        let target = &library.clip(library.edit(subject).target).id;
         let made_of = match subject {
             Subject::Annotation(_) => "mask",
             Subject::Pair(_) => "pair",
@@ -556,7 +555,7 @@ impl Drawer<'_> {
         ItemRow {
             task: library.task_of(subject).as_str().to_owned(),
             instruction: instruction.to_owned(),
-            origin: format!("{made_of} {}", library.subject_id(subject)),
+            origin: format!("{made_of} {}", library.edit(subject).id),
             seed: self.seed.0,
             ..ItemRow::blank(target, library.split())
         }

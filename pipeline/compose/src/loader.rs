@@ -128,10 +128,11 @@ impl WindowLoader {
             loader.files.push(file);
         }
         let Some(first) = loader.blocks.first() else {
-            return Err(Error::NoWindows {
-                path: loader.root,
-                split,
-            });
+            let path = loader.root.display();
+            return Err(Error::Refused(format!(
+                "{path} holds no recorded windows of split {split}; run: stance triplets DATASET --windows N --out \
+                 {path}"
+            )));
         };
         let first: Vec<WindowFrames> = loader.files[first.file].rows_at(&[0])?;
         loader.window = first.iter().map(|row| row.edited.len()).sum::<usize>() * FRAME_WIDTH;
@@ -239,7 +240,11 @@ impl WindowLoader {
             {
                 return Ok(read);
             }
-            Err(Error::UnequalWindows(self.root.clone()))
+            Err(Error::Refused(format!(
+                "the windows recorded in {} are of several lengths; record them again: stance triplets DATASET \
+                 --windows N --out FOLDER",
+                self.root.display()
+            )))
         };
         let group = Arc::new(Group {
             epoch,
@@ -354,9 +359,8 @@ mod tests {
     fn a_split_without_windows_is_named() {
         let (_dir, dataset, _) = recorded(3);
         let missing = WindowLoader::open(&dataset, Split::Val, ReadOrder::Sequential);
-        let Err(Error::NoWindows { split, .. }) = missing else {
-            panic!("{missing:?}");
-        };
-        assert_eq!(split, Split::Val);
+        let error = missing.expect_err("no windows").to_string();
+        let named = "holds no recorded windows of split val;";
+        assert!(error.contains(named), "{error}");
     }
 }

@@ -1,7 +1,6 @@
 //! Novelty of a test question: which of its parts are in the training split.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::str::FromStr;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
@@ -11,36 +10,23 @@ use serde::{Deserialize, Serialize};
 
 use super::{EditKind, style_instruction};
 
-/// How much of a test question the training split contains. This is decided by instructions and by labels of clips
-/// (action, style and performer), not by the similarity of motions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Novelty {
-    /// All of it, in another take. For a mask: the split has clips with the action, style and performer of the source
-    /// and clips with those of the target, or it has this instruction for the source's action. For a pair: it has this
-    /// edit of this action, by any performer.
-    Retake,
-    /// Its parts, but not together.
-    Combination,
-    /// Only the edit, with other actions: no clip has the source's action (for a pair, the action of its motions).
-    Action,
-    /// Not even the edit. For a mask: no clip has the target's action, and no annotation has the instruction. The
-    /// training data cannot answer such a question.
-    Unshown,
-}
-
-impl Novelty {
-    /// All values.
-    pub const ALL: [Self; 4] = [Self::Retake, Self::Combination, Self::Action, Self::Unshown];
-
-    /// The name in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Retake => "retake",
-            Self::Combination => "combination",
-            Self::Action => "action",
-            Self::Unshown => "unshown",
-        }
+datasets_spec::named! {
+    /// How much of a test question the training split contains. This is decided by instructions and by labels of clips
+    /// (action, style and performer), not by the similarity of motions.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Novelty, named by as_str {
+        /// All of it, in another take. For a mask: the split has clips with the action, style and performer of the
+        /// source and clips with those of the target, or it has this instruction for the source's action. For a pair:
+        /// it has this edit of this action, by any performer.
+        Retake = "retake",
+        /// Its parts, but not together.
+        Combination = "combination",
+        /// Only the edit, with other actions: no clip has the source's action (for a pair, the action of its motions).
+        Action = "action",
+        /// Not even the edit. For a mask: no clip has the target's action, and no annotation has the instruction. The
+        /// training data cannot answer such a question.
+        Unshown = "unshown",
     }
 }
 
@@ -48,17 +34,10 @@ impl FromStr for Novelty {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|value| value.as_str() == name);
-        found.ok_or_else(|| {
+        Self::of_name(name).ok_or_else(|| {
             let known = Self::ALL.map(Self::as_str).join(", ");
             format!("{name:?} is no novelty; known are {known}")
         })
-    }
-}
-
-impl fmt::Display for Novelty {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
     }
 }
 

@@ -18,20 +18,21 @@ pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABL
 /// The split has no clips, or neither masks nor pairs, or a table cannot be read.
 pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
     let rows = |table| dataset.manifest().rows(table, Some(split));
+    let path = dataset.root().display();
     if rows(MotionRow::TABLE) == 0 {
-        return Err(Error::NoClips {
-            path: dataset.root().to_owned(),
-            split,
-        });
+        return Err(Error::Refused(format!(
+            "no clip of {path} is in split {split}; choose another split, or name clips of it with `stance ingest \
+             --splits FILE` into a new folder"
+        )));
     }
     if rows(MaskRow::TABLE) == 0 && rows(PairRow::TABLE) == 0 {
-        return Err(Error::NoAnnotations {
-            path: dataset.root().to_owned(),
-            split,
-        });
+        return Err(Error::Refused(format!(
+            "{path} has neither masks nor pairs in split {split}; run `stance masks {path}` for semantic edits, \
+             `stance pairs {path}` for styles"
+        )));
     }
     let cache = FrameCache::from_environment(|name| std::env::var_os(name));
-    let cache = cache.map_err(Error::Environment)?;
+    let cache = cache.map_err(Error::Refused)?;
     let library = Library::read(dataset, split, &cache)?;
     Ok(Arc::new(library))
 }

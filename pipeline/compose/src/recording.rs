@@ -122,7 +122,8 @@ struct Recording {
 }
 
 /// Records the training stream of the dataset at `root` as a separate dataset. An existing recording of the same plan
-/// is kept. A folder of windows states the settings ([`settings_of`]).
+/// is kept. A folder of windows states the settings ([`settings_of`]). Also returns the number of masks and pairs that
+/// are shorter than a window, and are not used.
 ///
 /// # Errors
 /// The training split cannot be composed, or the folder cannot be written.
@@ -131,13 +132,14 @@ pub fn record(
     out: &Path,
     settings: &Settings,
     context: &Context<'_>,
-) -> Result<Dataset, Error> {
+) -> Result<(Dataset, usize), Error> {
     let recording = Recording::open(root, settings, None)?;
+    let num_short = recording.stream.num_short();
     recording.refuse_others(out)?;
     let transaction = Transaction::begin(out, context.holder)?;
     if recording.is_in(&transaction) {
         drop(transaction);
-        return Ok(Dataset::open(out)?);
+        return Ok((Dataset::open(out)?, num_short));
     }
     let staging = transaction.staging(&recording.plan_hash);
     context
@@ -157,7 +159,7 @@ pub fn record(
         files.extend(shard);
     }
     let dataset = recording.commit(transaction, &staging, files, Quarantine::default())?;
-    let short = match recording.stream.num_short() {
+    let short = match num_short {
         0 => String::new(),
         count => format!("; {count} masks and pairs are shorter than a window and not used"),
     };
@@ -166,7 +168,7 @@ pub fn record(
         settings.count,
         settings.kind.table()
     ));
-    Ok(dataset)
+    Ok((dataset, num_short))
 }
 
 /// Plans a recording for any number of processes. `out` is the folder of the plan.

@@ -56,14 +56,14 @@ impl Stream {
         let mut annotated: BTreeMap<&'static str, usize> = BTreeMap::new();
         let mut distinct_pairs: BTreeMap<&'static str, u64> = BTreeMap::new();
         for subject in self.subjects_in_use() {
-            let kind = self.library.kind_of(subject).as_str();
+            let kind = self.library.edit(subject).kind.as_str();
             let partners = self
                 .base
                 .iter()
                 .filter(|&&clip| self.library.may_meet(clip, subject))
                 .count() as u64;
             let partners = if self.config.fixed_pairs { 1 } else { partners };
-            let ways = self.library.halves_of(subject).len().max(1) as u64;
+            let ways = self.library.edit(subject).halves.len().max(1) as u64;
             // A pair that never gets a donor counts as one pair.
             let is_captured = self.library.undonored_ratio(subject, &self.config) >= 1.0;
             let count = if is_captured { 1 } else { partners * ways };

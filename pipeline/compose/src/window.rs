@@ -100,7 +100,7 @@ fn points(frames: &[Frame], slot: usize) -> Points {
 
 /// Origin of a blended joint's rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Origin {
+pub(super) enum Origin {
     Source,
     Target,
     Both,
@@ -169,15 +169,8 @@ impl BlendPlan {
         }
     }
 
-    pub(super) fn parts_of_source(&self) -> FrameParts {
-        self.parts_of(Origin::Source)
-    }
-
-    pub(super) fn parts_of_target(&self) -> FrameParts {
-        self.parts_of(Origin::Target)
-    }
-
-    fn parts_of(&self, motion: Origin) -> FrameParts {
+    /// The parts of a frame that the blend reads of the source or the target.
+    pub(super) fn parts_of(&self, motion: Origin) -> FrameParts {
         let mut rotations = [false; NUM_BODY_JOINTS];
         // The window is placed by the root of its first frame.
         for &joint in self.joints.iter().chain(&[0]) {

@@ -2,84 +2,37 @@
 
 use super::gait::Side;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Action {
-    Walk,
-    WaveRight,
-    Punch,
-    Sit,
-    Run,
-    Kick,
-    RaiseArms,
-    WalkWave,
-    Squat,
-    Throw,
-    WalkBackward,
-    Clap,
-    Jump,
-    Turn,
-    WaveLeft,
-    Jog,
-    PickUp,
-    WalkCircle,
-    Reach,
-    SideStep,
-    Bow,
-    Talk,
-    Hop,
-    March,
-    WalkPhone,
-    WalkTurn,
-}
-
-/// The name of each action in clip names and sidecars, in the order of the enum and of the clips. A small corpus has
-/// only the first actions, so these differ as much as possible.
-const NAMES: [(Action, &str); 26] = [
-    (Action::Walk, "walk"),
-    (Action::WaveRight, "wave-right"),
-    (Action::Punch, "punch"),
-    (Action::Sit, "sit"),
-    (Action::Run, "run"),
-    (Action::Kick, "kick"),
-    (Action::RaiseArms, "raise-arms"),
-    (Action::WalkWave, "walk-wave"),
-    (Action::Squat, "squat"),
-    (Action::Throw, "throw"),
-    (Action::WalkBackward, "walk-backward"),
-    (Action::Clap, "clap"),
-    (Action::Jump, "jump"),
-    (Action::Turn, "turn"),
-    (Action::WaveLeft, "wave-left"),
-    (Action::Jog, "jog"),
-    (Action::PickUp, "pick-up"),
-    (Action::WalkCircle, "walk-circle"),
-    (Action::Reach, "reach"),
-    (Action::SideStep, "side-step"),
-    (Action::Bow, "bow"),
-    (Action::Talk, "talk"),
-    (Action::Hop, "hop"),
-    (Action::March, "march"),
-    (Action::WalkPhone, "walk-phone"),
-    (Action::WalkTurn, "walk-turn"),
-];
-
-impl Action {
-    pub(super) const ALL: [Action; NAMES.len()] = {
-        let mut all = [Action::Walk; NAMES.len()];
-        let mut place = 0;
-        while place < all.len() {
-            assert!(
-                NAMES[place].0 as usize == place,
-                "NAMES is in the order of the enum"
-            );
-            all[place] = NAMES[place].0;
-            place += 1;
-        }
-        all
-    };
-
-    pub(super) fn name(self) -> &'static str {
-        NAMES[self as usize].1
+datasets_spec::named! {
+    /// An action, with its name in clip names and sidecars.
+    // The order is that of the clips. A small corpus has only the first actions, so these differ as much as possible.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub(super) enum Action, named by name {
+        Walk = "walk",
+        WaveRight = "wave-right",
+        Punch = "punch",
+        Sit = "sit",
+        Run = "run",
+        Kick = "kick",
+        RaiseArms = "raise-arms",
+        WalkWave = "walk-wave",
+        Squat = "squat",
+        Throw = "throw",
+        WalkBackward = "walk-backward",
+        Clap = "clap",
+        Jump = "jump",
+        Turn = "turn",
+        WaveLeft = "wave-left",
+        Jog = "jog",
+        PickUp = "pick-up",
+        WalkCircle = "walk-circle",
+        Reach = "reach",
+        SideStep = "side-step",
+        Bow = "bow",
+        Talk = "talk",
+        Hop = "hop",
+        March = "march",
+        WalkPhone = "walk-phone",
+        WalkTurn = "walk-turn",
     }
 }
 

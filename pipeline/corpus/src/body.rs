@@ -102,14 +102,11 @@ impl Coupling {
         pelvis_turn: 0.10,
         chest_turn: 0.0,
         arm_swing: 0.1,
-        lean: 0.0,
-        elbow_bend: 0.0,
         shift: [0.85, 0.9],
         shift_secs: 0.16,
         list: 0.04,
-        bob: 0.0,
         bounce: 0.0,
-        lift_lead: 0.0,
+        ..Self::WALK
     };
 }
 
@@ -176,10 +173,8 @@ pub(super) fn perform(
         .zip(&grounds)
         .map(|(torso, ground)| (body.highest_pelvis(torso, ground) - torso.pelvis.y).min(0.0))
         .collect();
-    smooth_lower_bound(
-        &mut allowances,
-        (PELVIS_FORESIGHT_SECS * fps.get()).round() as usize,
-    );
+    let foresight = (PELVIS_FORESIGHT_SECS * fps.get()).round() as usize;
+    smooth_lower_bound(&mut allowances, foresight);
     for (torso, allowance) in torsos.iter_mut().zip(allowances) {
         torso.pelvis.y += allowance;
     }
@@ -190,10 +185,8 @@ pub(super) fn perform(
             let (torso, ground) = (&torsos[frame], &grounds[frame]);
             pose.transl = torso.pelvis - skeleton.rest(Joint::Pelvis.index());
             pose.rotations[Joint::Pelvis.index()] = torso.rotation;
-            for (joint, rotation) in [Joint::Spine1, Joint::Spine2, Joint::Spine3]
-                .into_iter()
-                .zip(torso.spine)
-            {
+            let spine = [Joint::Spine1, Joint::Spine2, Joint::Spine3];
+            for (joint, rotation) in spine.into_iter().zip(torso.spine) {
                 pose.rotations[joint.index()] = rotation;
             }
             pose.rotations[Joint::Neck.index()] = torso.neck;
@@ -373,11 +366,8 @@ impl<'a> Body<'a> {
         // Knees point midway between the headings of pelvis and foot, and outwards as they bend.
         let yaw = 0.5 * (torso.yaw + foot.yaw) + side.sign() * KNEE_SPLAY * (0.3 + bend);
         let lateral = DQuat::from_rotation_y(yaw) * DVec3::X;
-        let placed = limb.place(
-            to_ankle,
-            bend,
-            to_ankle.cross(lateral).normalize_or(DVec3::Z),
-        );
+        let pole = to_ankle.cross(lateral).normalize_or(DVec3::Z);
+        let placed = limb.place(to_ankle, bend, pole);
         pose.rotations[hip.index()] = torso.rotation.inverse() * placed.upper;
         pose.rotations[knee.index()] = placed.hinge;
         pose.rotations[ankle.index()] = (placed.upper * placed.hinge).inverse() * foot.rotation;
@@ -569,11 +559,8 @@ fn bob_keys(script: &Script, style: &Style) -> Keys<1> {
     if size == 0.0 {
         return vec![];
     }
-    let mut middles: Vec<f64> = script
-        .feet
-        .iter()
-        .flat_map(FootTrack::mid_stances)
-        .collect();
+    let middles = script.feet.iter().flat_map(FootTrack::mid_stances);
+    let mut middles: Vec<f64> = middles.collect();
     middles.sort_by(f64::total_cmp);
     middles.dedup_by(|later, earlier| *later - *earlier < 0.1);
     let (Some(&first), Some(&last)) = (middles.first(), middles.last()) else {

@@ -188,7 +188,7 @@ pub(super) struct Swing {
 
 impl Swing {
     /// A step that rolls over the foot; the pitches are those at lift-off, early in the swing and at touch-down.
-    pub(super) fn rolling(lift: f64, [off, peak, strike]: [f64; 3]) -> Self {
+    pub(super) const fn rolling(lift: f64, [off, peak, strike]: [f64; 3]) -> Self {
         Self {
             lift,
             ballistic: false,
@@ -428,13 +428,7 @@ mod tests {
         duty: 0.62,
         half_width: 0.08,
         toe_out: 0.05,
-        swing: Swing {
-            lift: 0.04,
-            ballistic: false,
-            off: 0.7,
-            peak: 0.9,
-            strike: -0.3,
-        },
+        swing: Swing::rolling(0.04, [0.7, 0.9, -0.3]),
         jitter: 0.02,
         first: Side::Left,
     };

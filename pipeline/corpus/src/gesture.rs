@@ -87,19 +87,9 @@ impl Hold {
 
     fn key(self, secs: f64, weight: f64) -> (f64, [f64; 9]) {
         let [x, y, z] = self.towards.normalize_or(DVec3::NEG_Y).to_array();
-        let elbow = self.elbow.normalize_or(DVec3::NEG_Z);
-        let values = [
-            weight,
-            x,
-            y,
-            z,
-            self.bend,
-            elbow.x,
-            elbow.y,
-            elbow.z,
-            self.upright,
-        ];
-        (secs, values)
+        let [out, up, forward] = self.elbow.normalize_or(DVec3::NEG_Z).to_array();
+        let Self { bend, upright, .. } = self;
+        (secs, [weight, x, y, z, bend, out, up, forward, upright])
     }
 }
 
@@ -169,11 +159,10 @@ pub(super) fn wave(
         pause = 0.27 * rng.random_range(0.92..1.08);
     }
     let end = arm.then(0.45, HALF_RAISED).rest(0.6);
-    let raised = [from + 0.8 / style.tempo, end - 0.9 / style.tempo];
+    let (raised, lowered) = (from + 0.8 / style.tempo, end - 0.9 / style.tempo);
     let leaning = [-0.02, -0.05 * side.sign(), -0.06 * side.sign()];
-    script
-        .trunk
-        .extend(held([from, raised[0], raised[1], end], leaning));
+    let times = [from, raised, lowered, end];
+    script.trunk.extend(held(times, leaning));
     end
 }
 
@@ -252,12 +241,9 @@ pub(super) fn punches(script: &mut Script, style: &Style, from: f64, order: &[(S
         end = arm.then(0.4, GUARD).rest(0.6);
     }
     let mut secs = from + 0.5 * beat;
-    script
-        .trunk
-        .extend([(from, [0.0; 3]), (secs, [0.08, 0.0, 0.0])]);
-    script
-        .pelvis
-        .extend([(from, [0.0; 4]), (secs, [0.0, -0.05, 0.0, 0.0])]);
+    let Script { trunk, pelvis, .. } = script;
+    trunk.extend([(from, [0.0; 3]), (secs, [0.08, 0.0, 0.0])]);
+    pelvis.extend([(from, [0.0; 4]), (secs, [0.0, -0.05, 0.0, 0.0])]);
     for &(puncher, pause) in order {
         // The rear hand is driven by a larger turn of the trunk than the leading one.
         let turn = match puncher {
@@ -265,19 +251,15 @@ pub(super) fn punches(script: &mut Script, style: &Style, from: f64, order: &[(S
             Side::Right => 0.60,
         } * style.amplitude;
         secs += pause * beat;
-        script.trunk.push((secs, [0.08, 0.0, -0.12 * turn]));
-        script.pelvis.push((secs, [0.0, -0.06, -0.01, 0.0]));
+        trunk.push((secs, [0.08, 0.0, -0.12 * turn]));
+        pelvis.push((secs, [0.0, -0.06, -0.01, 0.0]));
         secs += 0.15 * beat;
-        script.trunk.push((secs, [0.14, 0.0, turn]));
-        script.pelvis.push((secs, [0.0, -0.045, 0.05, 0.0]));
+        trunk.push((secs, [0.14, 0.0, turn]));
+        pelvis.push((secs, [0.0, -0.045, 0.05, 0.0]));
         secs += 0.33 * beat;
     }
-    script
-        .trunk
-        .extend([(secs, [0.08, 0.0, 0.0]), (end, [0.0; 3])]);
-    script
-        .pelvis
-        .extend([(secs, [0.0, -0.05, 0.0, 0.0]), (end, [0.0; 4])]);
+    trunk.extend([(secs, [0.08, 0.0, 0.0]), (end, [0.0; 3])]);
+    pelvis.extend([(secs, [0.0, -0.05, 0.0, 0.0]), (end, [0.0; 4])]);
     end
 }
 
@@ -429,13 +411,9 @@ pub(super) fn phone(script: &mut Script, style: &Style, side: Side, from: f64, t
     arm.then(0.5, HALF_RAISED).then(0.45, AT_EAR);
     let hold = (to - arm.secs) * style.tempo;
     arm.then(hold.max(0.2), AT_EAR);
-    script.head.extend([
-        (from, [0.0; 3]),
-        (
-            from + 1.0 / style.tempo,
-            [0.05, 0.10 * side.sign(), -0.05 * side.sign()],
-        ),
-    ]);
+    let tilted = [0.05, 0.10 * side.sign(), -0.05 * side.sign()];
+    let head = [(from, [0.0; 3]), (from + 1.0 / style.tempo, tilted)];
+    script.head.extend(head);
 }
 
 /// Rests both hands on the thighs between two times.

@@ -119,12 +119,13 @@ pub(super) fn slerp_direction(from: DVec3, to: DVec3, alpha: f64) -> DVec3 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use proptest::prelude::*;
 
     use super::*;
 
-    fn limbs() -> [Limb; 4] {
+    /// The legs and the arms, the left one of each first.
+    pub(crate) fn limbs() -> [Limb; 4] {
         let skeleton = Skeleton::smplx_neutral();
         [
             Limb::leg(&skeleton, Joint::LeftHip, Joint::LeftKnee, Joint::LeftAnkle),

@@ -25,30 +25,20 @@ pub const SEEN_PAIR_LIST: &str = "pairs-seen.csv";
 /// Takes per question of [`Limit::Repetition`]; [`Limit::Spatial`] has twice as many.
 const TAKES: usize = 5;
 
-/// Ability that a test set checks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Limit {
-    /// Do something once, twice or three times.
-    Repetition,
-    /// Use the other hand, or go to the other side.
-    Spatial,
-    /// Edits of the training split, with instructions in other words.
-    Wording,
+datasets_spec::named! {
+    /// Ability that a test set checks, with the name of its folder.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Limit, named by name {
+        /// Do something once, twice or three times.
+        Repetition = "repetition",
+        /// Use the other hand, or go to the other side.
+        Spatial = "spatial",
+        /// Edits of the training split, with instructions in other words.
+        Wording = "wording",
+    }
 }
 
 impl Limit {
-    /// All limits.
-    pub const ALL: [Self; 3] = [Self::Repetition, Self::Spatial, Self::Wording];
-
-    /// Name of its folder.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Repetition => "repetition",
-            Self::Spatial => "spatial",
-            Self::Wording => "wording",
-        }
-    }
-
     fn questions(self, seed: Seed) -> Vec<Question> {
         match self {
             Self::Repetition => repetitions(),

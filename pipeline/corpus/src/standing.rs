@@ -275,11 +275,8 @@ pub(super) fn jumping(
     // The fall from the apex takes half of the flight.
     let flight = 2.0 * (2.0 * height / GRAVITY).sqrt();
     let swing = Swing {
-        lift: height + 0.015,
         ballistic: true,
-        off: 0.75,
-        peak: 0.85,
-        strike: 0.5,
+        ..Swing::rolling(height + 0.015, [0.75, 0.85, 0.5])
     };
     let place = |side: Side, forward: f64| foot_at(side, 0.10 * style.width, forward);
     let mut secs = STILL_SECS + scatter.random_range(0.0..0.3);

@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::NoProgress;
 use datasets_spec::record::{MotionRow, PairRow};
-use datasets_spec::{Joint, NoProgress};
 use pipeline::ingest::ingest;
 use pipeline::stage::IngestConfig;
 
-use super::limb::Limb;
+use super::limb::tests::limbs;
 use super::*;
 
 /// Actions with a flight phase, whose foot score may be lower.
@@ -105,19 +105,7 @@ fn options(clips: usize) -> CorpusOptions {
 #[test]
 fn every_action_in_every_style_moves_like_a_body() {
     let skeleton = Skeleton::smplx_neutral();
-    let legs = [
-        Limb::leg(&skeleton, Joint::LeftHip, Joint::LeftKnee, Joint::LeftAnkle),
-        Limb::leg(
-            &skeleton,
-            Joint::RightHip,
-            Joint::RightKnee,
-            Joint::RightAnkle,
-        ),
-    ];
-    let arms = [
-        Limb::arm(&skeleton, Joint::LeftElbow, Joint::LeftWrist),
-        Limb::arm(&skeleton, Joint::RightElbow, Joint::RightWrist),
-    ];
+    let limbs = limbs();
     let clips: Vec<CorpusClip> = (0..CLIPS_PER_TAKE)
         .into_par_iter()
         .flat_map_iter(|index| {
@@ -139,7 +127,7 @@ fn every_action_in_every_style_moves_like_a_body() {
         assert!((4.9..12.0).contains(&clip.motion.duration_secs()), "{name}");
         let points = skeleton.motion_keypoints(&clip.motion).points;
         for pose in clip.motion.poses() {
-            for (limb, joint) in legs.iter().chain(&arms).zip([4, 5, 18, 19]) {
+            for (limb, joint) in limbs.iter().zip([4, 5, 18, 19]) {
                 let bend = limb.bend_of(pose.rotations[joint]);
                 assert!((0.0..2.7).contains(&bend), "{name}: {joint} by {bend}");
             }
@@ -316,20 +304,14 @@ fn names_are_unique_and_both_formats_get_half_of_everything() {
 
 /// All files below a folder with their bytes, by relative path.
 fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![root.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).expect("listed") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                let name = path.strip_prefix(root).expect("below the root").to_owned();
-                found.insert(name, std::fs::read(&path).expect("readable"));
-            }
-        }
-    }
-    found
+    let mut found = Vec::new();
+    files_below(root, &mut found).expect("listed");
+    let named = found.into_iter().map(|path| {
+        let content = std::fs::read(&path).expect("readable");
+        let name = path.strip_prefix(root).expect("below the root");
+        (name.to_owned(), content)
+    });
+    named.collect()
 }
 
 #[test]

@@ -158,13 +158,7 @@ impl Travel {
                 step_secs,
                 duty: 0.46,
                 half_width: 0.068,
-                swing: Swing {
-                    lift: 0.07,
-                    off: 0.75,
-                    peak: 1.2,
-                    strike: -0.10,
-                    ..run.gait.swing
-                },
+                swing: Swing::rolling(0.07, [0.75, 1.2, -0.10]),
                 ..run.gait
             },
             coupling: Coupling {

@@ -206,7 +206,7 @@ pub(crate) fn directions_of_joints(
 
 #[cfg(test)]
 mod tests {
-    use std::path::{Path, PathBuf};
+    use std::path::Path;
 
     use datasets_spec::record::HUMANML3D_WIDTH;
     use proptest::prelude::*;
@@ -357,25 +357,15 @@ mod tests {
         features_of(&clip, Placement::new(DVec3::ZERO, DVec3::Z))
     }
 
-    #[expect(
-        clippy::print_stderr,
-        reason = "a test that checks nothing must say so"
-    )]
-    fn skipped() {
-        eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has humanml3d");
-    }
-
     fn published(folder: &Path, name: &str) -> Array {
-        let path = folder.join("humanml3d").join(name);
-        let bytes = std::fs::read(&path).expect("a published file");
+        let bytes = std::fs::read(folder.join(name)).expect("a published file");
         read_numbers(name, &bytes).expect("an array")
     }
 
     /// The published clip: its joints and its features belong together.
     #[test]
     fn published_joints_and_features_follow_from_each_other() {
-        let Some(folder) = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from) else {
-            skipped();
+        let Some(folder) = testkit::test_data("humanml3d") else {
             return;
         };
         let joints = published(&folder, "new_joints/012314.npy");

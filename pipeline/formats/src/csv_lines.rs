@@ -1,15 +1,6 @@
 //! Hand-written CSV files: records with line numbers.
 
-use csv::{Position, ReaderBuilder, StringRecord, Trim, WriterBuilder};
-
-/// Formats a record as one CSV line without line end. Fields with commas, quotes or line breaks are quoted.
-pub fn line(fields: &[&str]) -> String {
-    let mut writer = WriterBuilder::new().from_writer(Vec::new());
-    writer.write_record(fields).expect("memory takes a record");
-    let bytes = writer.into_inner().expect("memory takes a record");
-    let line = String::from_utf8(bytes).expect("fields are UTF-8");
-    line.trim_end_matches('\n').to_owned()
-}
+use csv::{Position, ReaderBuilder, StringRecord, Trim};
 
 /// Records of a UTF-8 file, each with its line number and trimmed fields. A record in another encoding or with an
 /// unclosed quote is an error.

@@ -39,12 +39,14 @@ impl Header {
     pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Error> {
         let (header, descr) = Self::parse_text(name, bytes)?;
         let found = bytes.len() - header.data_start;
-        let needed = header
-            .shape
-            .iter()
-            .try_fold(header.dtype.item_len(), |product, &extent| {
+        let mut extents = header.shape.iter();
+        let needed = match header.shape.contains(&0) {
+            // The product of the other extents may exceed all numbers.
+            true => Some(0),
+            false => extents.try_fold(header.dtype.item_len(), |product, &extent| {
                 product.checked_mul(extent)
-            });
+            }),
+        };
         if needed != Some(found) {
             return Err(error!(
                 "E-NPY-SHAPE",
@@ -135,12 +137,7 @@ pub fn pickled<'a>(name: &str, bytes: &'a [u8]) -> Result<Option<(&'a [u8], usiz
 /// As [`Header::parse`]; `E-NPY-DTYPE` also for text and half precision.
 pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     let header = Header::parse(name, bytes)?;
-    let Header {
-        dtype,
-        big_endian,
-        shape,
-        ..
-    } = header;
+    let (dtype, shape) = (header.dtype, header.shape);
     if matches!(dtype, Dtype::Float(2) | Dtype::Bytes(_) | Dtype::Text(_)) {
         return Err(error!(
             "E-NPY-DTYPE",
@@ -149,7 +146,7 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     }
     let items = bytes[header.data_start..].chunks_exact(dtype.item_len());
     let mut values: Vec<f64> = items
-        .map(|item| array::number(dtype, big_endian, item))
+        .map(|item| array::number(dtype, header.big_endian, item))
         .collect();
     if header.fortran_order && shape.len() > 1 && !values.is_empty() {
         values = array::row_major(&values, 1, &shape);
@@ -393,36 +390,30 @@ impl Literal {
             scanner.symbol(b':')?;
             match key {
                 b"descr" if scanner.peek(b'[') => {
-                    return Err((
-                        "the array has named fields, expected plain numbers",
-                        scanner.at,
-                    ));
+                    let reason = "the array has named fields, expected plain numbers";
+                    return Err((reason, scanner.at));
                 }
                 b"descr" => descr = Some(String::from_utf8_lossy(scanner.string()?).into_owned()),
                 b"fortran_order" => fortran_order = Some(scanner.boolean()?),
                 b"shape" => shape = Some(scanner.tuple()?),
                 _ => {
-                    return Err((
-                        "unknown key, expected descr, fortran_order or shape",
-                        key_at,
-                    ));
+                    let reason = "unknown key, expected descr, fortran_order or shape";
+                    return Err((reason, key_at));
                 }
             }
             if !scanner.peek(b'}') {
                 scanner.symbol(b',')?;
             }
         }
-        match (descr, fortran_order, shape) {
-            (Some(descr), Some(fortran_order), Some(shape)) => Ok(Self {
-                descr,
-                fortran_order,
-                shape,
-            }),
-            _ => Err((
-                "a key is missing, expected descr, fortran_order and shape",
-                scanner.at,
-            )),
-        }
+        let (Some(descr), Some(fortran_order), Some(shape)) = (descr, fortran_order, shape) else {
+            let reason = "a key is missing, expected descr, fortran_order and shape";
+            return Err((reason, scanner.at));
+        };
+        Ok(Self {
+            descr,
+            fortran_order,
+            shape,
+        })
     }
 }
 
@@ -582,6 +573,27 @@ mod tests {
             &unicode,
         );
         assert_eq!(read_text("gender", &bytes).expect("text"), "female");
+    }
+
+    #[test]
+    fn an_empty_array_may_have_any_other_extents() {
+        for (shape, extents) in [
+            ("(0,)", vec![0]),
+            (
+                "(1099511627776, 1099511627776, 0)",
+                vec![1 << 40, 1 << 40, 0],
+            ),
+        ] {
+            for fortran in ["False", "True"] {
+                let dictionary =
+                    format!("{{'descr': '<f8', 'fortran_order': {fortran}, 'shape': {shape}}}");
+                let array = read_numbers("m", &npy(&dictionary, &[])).expect(shape);
+                let expected = (extents.clone(), vec![]);
+                assert_eq!((array.shape, array.values), expected, "{dictionary}");
+                let more = read_numbers("m", &npy(&dictionary, &[0; 8]));
+                assert_eq!(more.expect_err(shape).code, "E-NPY-SHAPE");
+            }
+        }
     }
 
     #[test]

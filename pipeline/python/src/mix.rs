@@ -13,7 +13,7 @@ use serde_json::Value;
 use train::config::overlay;
 
 use crate::error::Failure;
-use crate::motion::Motion;
+use crate::motion::{Motion, shown};
 use crate::work;
 
 /// A stream of windows over one split, prepared once and shared by forked workers.
@@ -208,9 +208,6 @@ impl Triplet {
 
     /// Both motions in the viewer of reports, for a notebook.
     fn _repr_html_(this: Bound<'_, Self>) -> PyResult<Bound<'_, PyAny>> {
-        let shown = this.py().import("stance._show")?;
-        shown
-            .call_method1("show_triplet", (this,))?
-            .call_method0("_repr_html_")
+        shown(this.into_any(), "show_triplet")
     }
 }

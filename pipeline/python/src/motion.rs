@@ -41,14 +41,16 @@ impl Motion {
         }
     }
 
-    fn points<const K: usize>(&self) -> Vec<f32> {
-        let frames = self
-            .skeleton
-            .points_of_frames::<K>(&self.inner, 0..self.inner.len());
-        let points = frames.iter().flatten();
-        points
-            .flat_map(|point| point.as_vec3().to_array())
-            .collect()
+    /// The first `K` keypoints in metres, `[L, K, 3]`.
+    fn points<'py, const K: usize>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let len = self.inner.len();
+        let values: Vec<f32> = work::quick(py, || {
+            let frames = self.skeleton.points_of_frames::<K>(&self.inner, 0..len);
+            let points = frames.iter().flatten();
+            let numbers = points.flat_map(|point| point.as_vec3().to_array());
+            Ok(numbers.collect())
+        })?;
+        values.into_pyarray(py).reshape([len, K, 3])
     }
 }
 
@@ -283,10 +285,7 @@ impl Motion {
 
     /// The clip in the viewer of reports, for a notebook.
     fn _repr_html_(this: Bound<'_, Self>) -> PyResult<Bound<'_, PyAny>> {
-        let shown = this.py().import("stance._show")?;
-        shown
-            .call_method1("show", (this,))?
-            .call_method0("_repr_html_")
+        shown(this.into_any(), "show")
     }
 
     fn __eq__(&self, other: &Self) -> bool {
@@ -327,16 +326,12 @@ impl Motion {
 
     /// Positions of the 28 keypoints in metres, `[L, 28, 3]`.
     fn keypoints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let values = work::quick(py, || Ok(self.points::<NUM_KEYPOINTS>()))?;
-        let shape = [self.inner.len(), NUM_KEYPOINTS, 3];
-        values.into_pyarray(py).reshape(shape)
+        self.points::<NUM_KEYPOINTS>(py)
     }
 
     /// Positions of the 22 body joints in metres, `[L, 22, 3]`.
     fn joints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let values = work::quick(py, || Ok(self.points::<NUM_BODY_JOINTS>()))?;
-        let shape = [self.inner.len(), NUM_BODY_JOINTS, 3];
-        values.into_pyarray(py).reshape(shape)
+        self.points::<NUM_BODY_JOINTS>(py)
     }
 
     /// Features of a recipe, at the recipe's rate.
@@ -395,6 +390,14 @@ type Arguments<'py> = (
     String,
 );
 
+/// The HTML in which a function of `stance._show` shows a thing.
+pub(crate) fn shown<'py>(thing: Bound<'py, PyAny>, by: &str) -> PyResult<Bound<'py, PyAny>> {
+    let module = thing.py().import("stance._show")?;
+    module
+        .call_method1(by, (thing,))?
+        .call_method0("_repr_html_")
+}
+
 /// Converts an array `[L, K, 3]` to points.
 pub(crate) fn points<const K: usize>(
     name: &str,
@@ -407,13 +410,8 @@ pub(crate) fn points<const K: usize>(
         )));
     }
     let values: Vec<f64> = array.as_array().iter().copied().collect();
-    let points: Vec<DVec3> = values
-        .as_chunks()
-        .0
-        .iter()
-        .map(|&p| DVec3::from_array(p))
-        .collect();
-    Ok(points.as_chunks::<K>().0.to_vec())
+    let points = values.as_chunks::<3>().0.as_chunks::<K>().0.iter();
+    Ok(points.map(|frame| frame.map(DVec3::from_array)).collect())
 }
 
 /// Blends two motions of equal length and rate: hard joints from `target`, soft ones interpolated, the rest from

@@ -157,7 +157,9 @@ pub(crate) fn masks_from(
         .map(|(_, activity)| *activity)
         .collect();
     if train.is_empty() {
-        return Err(Error::NoTrainMotions);
+        let problem = "no motion of split train is present, and activity is measured relative to it; pass all motions \
+                       of the dataset";
+        return Err(Error::Refused(problem.to_owned()));
     }
     let reference: Activity = std::array::from_fn(|region| {
         let mut all: Vec<f64> = train.iter().map(|activity| activity[region]).collect();
@@ -237,10 +239,13 @@ fn parts_of(active: &BTreeSet<Region>) -> Vec<BodyPart> {
 fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, Error> {
     let mut texts: BTreeMap<BodyPart, (String, &str)> = BTreeMap::new();
     for described in &row.part_captions {
-        let part: BodyPart = described.part.parse().map_err(|source| Error::Part {
-            motion: row.id.clone(),
-            source,
-        })?;
+        let unknown = |problem: datasets_spec::Error| {
+            Error::Refused(format!(
+                "motion {} describes an unknown body part: {problem}",
+                row.id
+            ))
+        };
+        let part: BodyPart = described.part.parse().map_err(unknown)?;
         let action = described.text.trim().trim_end_matches('.');
         if !action.is_empty() {
             // The first of several descriptions of a part is used, as with captions.
@@ -381,7 +386,8 @@ mod tests {
             expected.map(|text| (text.to_owned(), IMPORTED.to_owned()))
         );
         row.part_captions[0].part = "TAIL".to_owned();
-        assert!(matches!(masks_of(&[row]), Err(Error::Part { .. })));
+        let refused = masks_of(&[row]).expect_err("no body part").to_string();
+        assert!(refused.contains("an unknown body part"), "{refused}");
     }
 
     #[test]
@@ -392,7 +398,8 @@ mod tests {
         let without = parts(std::slice::from_ref(&lively), "lively");
         assert_eq!(parts(&[lively, frantic.clone()], "lively"), without);
         assert_eq!(without, ["UPPER_BODY", "LOWER_BODY"]);
-        assert!(matches!(masks_of(&[frantic]), Err(Error::NoTrainMotions)));
+        let refused = masks_of(&[frantic]).expect_err("no reference").to_string();
+        assert!(refused.contains("no motion of split train"), "{refused}");
     }
 
     #[test]

@@ -95,7 +95,9 @@ fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
     let mut frames = |key: &str, width: usize| -> Result<Vec<f64>, Rejected> {
         let array = archive.numbers(key)?;
         let found = array.shape.get(1..).unwrap_or_default();
-        if found.is_empty() || found.iter().product::<usize>() != width {
+        let mut extents = found.iter();
+        let product = extents.try_fold(1usize, |product, &extent| product.checked_mul(extent));
+        if found.is_empty() || product != Some(width) {
             return Err(rejected!(
                 "E-SMPL-SHAPE",
                 "found {key} of shape {:?}, expected frames by {width} numbers",

@@ -18,7 +18,7 @@ use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow};
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Motion, Progress, Seed, Skeleton, Transaction};
+use datasets_spec::{Dataset, Digest, Motion, Progress, Seed, Skeleton, Transaction};
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -115,10 +115,7 @@ impl Names {
         // A name that is not an id must not shadow an id or be ambiguous.
         let mut others: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
         for (index, item) in items.iter().enumerate() {
-            for name in [Some(safe_name(&item.id)), motionfix_number(item)]
-                .into_iter()
-                .flatten()
-            {
+            for name in std::iter::once(safe_name(&item.id)).chain(motionfix_number(item)) {
                 others.entry(name).or_default().insert(index);
             }
         }
@@ -378,15 +375,12 @@ impl Answers {
         work::make_room(&transaction, items, &self.rows)?;
         let split_of_item: fn(&ItemRow) -> _ = |row| row.split;
         let split_of_edit: fn(&EditRow) -> _ = |row| row.split;
+        let items = transaction.write_rows(items, Some(split_of_item), skeleton, &plan_hash)?;
+        let edits = &self.rows;
+        let edits = transaction.write_rows(edits, Some(split_of_edit), skeleton, &plan_hash)?;
         let mut tables = BTreeMap::from([
-            (
-                ItemRow::TABLE.to_owned(),
-                transaction.write_rows(items, Some(split_of_item), skeleton, &plan_hash)?,
-            ),
-            (
-                EditRow::TABLE.to_owned(),
-                transaction.write_rows(&self.rows, Some(split_of_edit), skeleton, &plan_hash)?,
-            ),
+            (ItemRow::TABLE.to_owned(), items),
+            (EditRow::TABLE.to_owned(), edits),
         ]);
         if !self.quarantine.is_empty() {
             let files = transaction.write_rows(&self.quarantine, None, skeleton, &plan_hash)?;
@@ -395,10 +389,7 @@ impl Answers {
         let report = &self.report;
         let refused = report.refused.iter().map(|refusal| refusal.code.to_owned());
         let (imported, passed_over) = (report.imported as u64, report.passed_over.len() as u64);
-        let accounting = Accounting {
-            sources: report.found as u64,
-            ..Accounting::of(imported, passed_over, refused)
-        };
+        let accounting = Accounting::of(imported, passed_over, refused);
         Ok(transaction.commit(Commit {
             tables,
             plan_hash,
@@ -410,27 +401,23 @@ impl Answers {
     }
 
     fn plan_hash(&self, items: &[ItemRow], skeleton: &Skeleton) -> String {
-        let mut hasher = blake3::Hasher::new();
-        let mut part = |text: &str| {
-            hasher.update(&(text.len() as u64).to_le_bytes());
-            hasher.update(text.as_bytes());
-        };
-        part("answers-1");
-        part(skeleton.name());
-        part(&self.report.checkpoint_hash);
-        items.iter().for_each(|item| part(&item.id));
+        let mut digest = Digest::default();
+        digest.part("answers-1");
+        digest.part(skeleton.name());
+        digest.part(&self.report.checkpoint_hash);
+        items.iter().for_each(|item| digest.part(&item.id));
         for row in &self.rows {
-            part(&row.id);
-            part(&row.system);
-            part(&row.settings_hash);
-            part(&row.seed.to_string());
+            digest.part(&row.id);
+            digest.part(&row.system);
+            digest.part(&row.settings_hash);
+            digest.part(&row.seed.to_string());
         }
         for row in &self.quarantine {
-            part(&row.path);
-            part(&row.source_hash);
-            part(&row.code);
+            digest.part(&row.path);
+            digest.part(&row.source_hash);
+            digest.part(&row.code);
         }
-        hasher.finalize().to_hex().to_string()
+        digest.hex()
     }
 }
 

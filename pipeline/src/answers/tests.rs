@@ -12,10 +12,7 @@ use glam::{DMat3, DQuat};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::file::properties::WriterProperties;
-use testkit::clip_members;
-use testkit::npz;
-use testkit::wandering;
-use testkit::{npy, npy_f8};
+use testkit::{clip_members, npy, npy_f8, npz, put, wandering};
 
 use super::*;
 use crate::export::export_items;
@@ -66,10 +63,6 @@ fn answers(folder: &Path, items: &[ItemRow], options: &AnswerOptions) -> Answers
 
 fn dir() -> tempfile::TempDir {
     tempfile::tempdir().expect("temporary folder")
-}
-
-fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
-    fs::write(folder.join(name), bytes).expect("written");
 }
 
 fn motion_of(row: &EditRow) -> Motion {
@@ -360,37 +353,25 @@ fn column<const D: usize>(frames: &[&[[f32; D]]], writer: Writer) -> ArrayRef {
             let inner =
                 ListBuilder::new(Float64Builder::new()).with_field(element(DataType::Float64));
             let mut outer = ListBuilder::new(inner);
-            for row in frames {
-                for frame in *row {
-                    for value in frame {
-                        outer.values().values().append_value(f64::from(*value));
-                    }
-                    outer.values().append(true);
-                }
-                outer.append(true);
-            }
+            let doubles = |frame: &[f32; D]| Some(frame.map(|value| Some(f64::from(value))));
+            outer.extend(frames.iter().map(|row| Some(row.iter().map(doubles))));
             Arc::new(outer.finish())
         }
         Writer::Large => {
             let mut outer = LargeListBuilder::new(LargeListBuilder::new(Float32Builder::new()));
-            for row in frames {
-                for frame in *row {
-                    outer.values().values().append_slice(frame);
-                    outer.values().append(true);
-                }
-                outer.append(true);
-            }
+            let floats = |frame: &[f32; D]| Some(frame.map(Some));
+            outer.extend(frames.iter().map(|row| Some(row.iter().map(floats))));
             Arc::new(outer.finish())
         }
         Writer::Flat => {
             let mut outer =
                 ListBuilder::new(Float64Builder::new()).with_field(element(DataType::Float64));
-            for row in frames {
-                for value in row.as_flattened() {
-                    outer.values().append_value(f64::from(*value));
-                }
-                outer.append(true);
-            }
+            let double = |value: &f32| Some(f64::from(*value));
+            outer.extend(
+                frames
+                    .iter()
+                    .map(|row| Some(row.as_flattened().iter().map(double))),
+            );
             Arc::new(outer.finish())
         }
         Writer::Fixed => {

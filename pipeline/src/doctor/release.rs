@@ -25,15 +25,6 @@ const MOTIONFIX_PARTS: [(&str, u64); 4] = [
     ("splits.json", 1),
 ];
 
-/// Whether the path of a file is that of a motion of the STANCE release.
-fn is_stance(relative: &str) -> bool {
-    let motion_folders = &STANCE_PARTS[..3];
-    relative.ends_with(".pkl")
-        && motion_folders
-            .iter()
-            .any(|(folder, _)| root_before(relative, folder).is_some())
-}
-
 /// The path before a part, if the file is the part or lies in it.
 fn root_before<'a>(relative: &'a str, part: &str) -> Option<&'a str> {
     let starts = relative.match_indices(part).map(|(at, _)| at);
@@ -49,18 +40,14 @@ fn root_before<'a>(relative: &'a str, part: &str) -> Option<&'a str> {
 pub(super) fn stance_folders(looked: &[Looked]) -> Vec<ReleaseFindings> {
     let mut roots: BTreeSet<&str> = BTreeSet::new();
     for file in looked {
-        let is_list = file.relative.ends_with("mask_all.json");
-        let (motions, lists) = (&STANCE_PARTS[..3], &STANCE_PARTS[3..4]);
-        let parts = match (is_stance(&file.relative), is_list) {
-            (true, _) => motions,
-            (false, true) => lists,
-            (false, false) => continue,
+        let path = file.relative.as_str();
+        // The folders of motions, or the list of masks.
+        let parts = match path {
+            _ if path.ends_with(".pkl") => STANCE_PARTS[..3].iter(),
+            _ if path.ends_with("mask_all.json") => STANCE_PARTS[3..4].iter(),
+            _ => continue,
         };
-        roots.extend(
-            parts
-                .iter()
-                .filter_map(|(part, _)| root_before(&file.relative, part)),
-        );
+        roots.extend(parts.filter_map(|(part, _)| root_before(path, part)));
     }
     releases(&roots, looked, &STANCE_PARTS)
 }

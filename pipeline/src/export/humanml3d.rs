@@ -116,11 +116,8 @@ impl ByClip for HumanMl3dFolder {
         }
         let width = [HUMANML3D_WIDTH];
         file(folder, "Mean.npy", &npy::encode(&width, &statistics.mean()))?;
-        file(
-            folder,
-            "Std.npy",
-            &npy::encode(&width, &statistics.std_by(&GROUPS)),
-        )?;
+        let std = npy::encode(&width, &statistics.std_by(&GROUPS));
+        file(folder, "Std.npy", &std)?;
         Ok(written)
     }
 }
@@ -163,12 +160,10 @@ impl Stored {
 /// Maps the id of each motion to its name.
 pub(super) fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
     let ids = ids(clips)?;
-    let mut names: BTreeMap<String, String> = ids
-        .iter()
-        .filter(|(id, _)| is_id(id))
-        .map(|(id, _)| (id.clone(), id.clone()))
-        .collect();
-    let mut taken: BTreeSet<String> = names.values().cloned().collect();
+    let published = ids.iter().filter(|(id, _)| is_id(id));
+    let mut taken: BTreeSet<String> = published.map(|(id, _)| id.clone()).collect();
+    let mut names: BTreeMap<String, String> =
+        taken.iter().map(|id| (id.clone(), id.clone())).collect();
     let mut next = 0u64;
     let mut number = |taken: &mut BTreeSet<String>| {
         loop {
@@ -180,11 +175,9 @@ pub(super) fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
             }
         }
     };
-    let is_copy = |original: &Option<String>| original.is_some();
-    let (copies, originals): (Vec<_>, Vec<_>) = ids
-        .iter()
-        .filter(|(id, _)| !is_id(id))
-        .partition(|(_, original)| is_copy(original));
+    let others = ids.iter().filter(|(id, _)| !is_id(id));
+    let (copies, originals): (Vec<_>, Vec<_>) =
+        others.partition(|(_, original)| original.is_some());
     for (id, _) in originals {
         names.insert(id.clone(), number(&mut taken));
     }

@@ -10,7 +10,7 @@ use datasets_spec::manifest::{FileEntry, plan_hash};
 use datasets_spec::record::{HumanMl3dRow, MotionRow};
 use datasets_spec::store::{Disk, Locking, Store, temporary_beside};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, NoProgress, Progress};
+use datasets_spec::{Dataset, Digest, NoProgress, Progress};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tables::Condition;
@@ -387,14 +387,12 @@ impl Job for Export {
 
 /// BLAKE3 over the paths and hashes of files.
 fn hash_of(files: &[FileEntry]) -> String {
-    let mut hasher = blake3::Hasher::new();
+    let mut digest = Digest::default();
     for file in files {
-        for part in [&file.path, &file.blake3] {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        }
+        digest.part(&file.path);
+        digest.part(&file.blake3);
     }
-    hasher.finalize().to_hex().to_string()
+    digest.hex()
 }
 
 /// Hard-links a file, or copies it if the file system has no hard links.

@@ -243,17 +243,8 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
 
 /// Whether the captions of a layout are those of HumanML3D, whose words have tags of their part of speech.
 fn has_tags(layout: Layout) -> bool {
-    match layout {
-        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => true,
-        Layout::Amass
-        | Layout::Bvh
-        | Layout::Gltf
-        | Layout::WebDataset
-        | Layout::Stance
-        | Layout::MotionMillion
-        | Layout::LeRobot
-        | Layout::MotionFix => false,
-    }
+    use Layout::{Babel272, HumanMl3d, HumanMl3d272, HyMotion};
+    matches!(layout, HumanMl3d | HumanMl3d272 | Babel272 | HyMotion)
 }
 
 /// Number of captions without tokens, whose words get the tag `OTHER` in a layout with tags; 0 for other layouts.
@@ -301,10 +292,8 @@ pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
 
 /// Whether files are named by the ids of clips. Other layouts number their files, or pack clips together.
 fn names_are_ids(layout: Layout) -> bool {
-    matches!(
-        layout,
-        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::MotionMillion
-    )
+    use Layout::{Amass, Bvh, Gltf, MotionMillion};
+    matches!(layout, Amass | Bvh | Gltf | MotionMillion)
 }
 
 /// A column of the clips; empty if an older table lacks it.

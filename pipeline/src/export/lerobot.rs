@@ -72,11 +72,8 @@ pub(super) fn write(
     writer.finish(&splits)?;
     progress.finish(&format!("{} episodes", clips.len()));
     let mut exported = Exported::of(clips.len());
-    put(
-        &mut exported.left_out,
-        "tasks_of_clips_without_captions",
-        without_task,
-    );
+    let left_out = &mut exported.left_out;
+    put(left_out, "tasks_of_clips_without_captions", without_task);
     Ok(exported)
 }
 
@@ -311,20 +308,16 @@ fn episode_columns(episodes: &[Episode], tasks: &[String], file: usize) -> Vec<(
             })),
         ),
     ];
-    let counts = episodes
-        .iter()
-        .map(|episode| episode.statistics.frames as i64);
-    let counts = counts.map(|count| Some([Some(count)]));
+    let counts = episodes.iter();
+    let counts = counts.map(|episode| Some([Some(episode.statistics.frames as i64)]));
     let counts = ListArray::from_iter_primitive::<Int64Type, _, _>(counts);
     columns.push(("stats/observation.state/count", Arc::new(counts)));
     let mut columns: Vec<(String, ArrayRef)> = columns
         .into_iter()
         .map(|(name, values)| (name.to_owned(), values))
         .collect();
-    let named: Vec<_> = episodes
-        .iter()
-        .map(|episode| episode.statistics.named())
-        .collect();
+    let named = episodes.iter().map(|episode| episode.statistics.named());
+    let named: Vec<_> = named.collect();
     let names = named.first().into_iter().flatten().map(|(name, _)| *name);
     for (place, name) in names.enumerate() {
         let values = named.iter().map(|named| Some(named[place].1.map(Some)));

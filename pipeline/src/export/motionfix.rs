@@ -83,9 +83,8 @@ pub fn export_triplets(
     if tables.contains_key(TripletRow::TABLE) {
         for (path, _) in dataset.files(TripletRow::TABLE, None) {
             let rows: Vec<TripletRow> = read_rows(&path)?;
-            let facts = rows
-                .iter()
-                .map(|row| (row.fps, !row.hard_joints.is_empty()));
+            let facts = rows.iter();
+            let facts = facts.map(|row| (row.fps, !row.hard_joints.is_empty()));
             count_lost(facts, &mut done.left_out);
             writer.take(&rows, &of_triplet)?;
         }
@@ -96,9 +95,8 @@ pub fn export_triplets(
             rows.retain(|item| item.target_frames > 0);
             let without_target = (all - rows.len()) as u64;
             put(&mut done.left_out, "items_without_target", without_target);
-            let facts = rows
-                .iter()
-                .map(|row| (row.fps, !row.hard_joints.is_empty()));
+            let facts = rows.iter();
+            let facts = facts.map(|row| (row.fps, !row.hard_joints.is_empty()));
             count_lost(facts, &mut done.left_out);
             writer.take(&rows, &of_item)?;
         }
@@ -142,9 +140,7 @@ pub(super) fn write(
     let dataset = clips.dataset();
     let skeleton = dataset.skeleton()?;
     let pairs = dataset.read::<PairRow>(None)?;
-    let sides = pairs
-        .iter()
-        .flat_map(|pair| [&pair.source_id, &pair.target_id]);
+    let sides = pairs.iter().flat_map(PairRow::clips);
     let wanted: BTreeSet<&str> = sides.map(|id| id.as_str()).collect();
     let mut motions: BTreeMap<String, MotionRow> = BTreeMap::new();
     for shard in clips.shards(None) {
@@ -153,10 +149,8 @@ pub(super) fn write(
         motions.extend(rows.map(|row| (row.id.to_string(), row)));
     }
     let has = |id: &MotionId| motions.contains_key(id.as_str());
-    let pairs = pairs.iter();
-    let pairs: Vec<&PairRow> = pairs
-        .filter(|pair| has(&pair.source_id) && has(&pair.target_id))
-        .collect();
+    let both_are_there = |pair: &&PairRow| pair.clips().into_iter().all(has);
+    let pairs: Vec<&PairRow> = pairs.iter().filter(both_are_there).collect();
     let reserved = pairs.iter().filter_map(|pair| published_key(pair));
     let mut writer = Writer::new(folder, &skeleton, reserved.map(str::to_owned).collect())?;
     progress.begin("export motionfix", Some(pairs.len() as u64));
@@ -175,10 +169,7 @@ pub(super) fn write(
     }
     let is_written = |pair: &&&PairRow| !pair.instruction.trim().is_empty() || pair.style.is_some();
     let written: Vec<&&PairRow> = pairs.iter().filter(is_written).collect();
-    let paired = written
-        .iter()
-        .flat_map(|pair| [&pair.source_id, &pair.target_id]);
-    let paired: BTreeSet<&MotionId> = paired.collect();
+    let paired: BTreeSet<&MotionId> = written.iter().flat_map(|pair| pair.clips()).collect();
     let alone = clips.len() - paired.len() as u64;
     put(&mut done.left_out, "clips", alone);
     let mut say = |name, is_said: fn(&PairRow) -> bool| {
@@ -297,10 +288,7 @@ impl<'a> Writer<'a> {
         Ok(Self {
             all: open(ALL)?,
             of_split,
-            splits: Split::ALL
-                .iter()
-                .map(|split| (split.as_str(), Vec::new()))
-                .collect(),
+            splits: Split::ALL.map(|split| (split.as_str(), Vec::new())).into(),
             ids: Lines::new([
                 "key", "id", "split", "kind", "source", "target", "license", "left_out",
             ]),
@@ -343,10 +331,8 @@ impl<'a> Writer<'a> {
                 _ => self.new_key(&triplet),
             };
             let [source, target] = &triplet.sides;
-            let mut licenses: Vec<&str> = [source, target]
-                .iter()
-                .filter_map(|side| side.license.as_deref())
-                .collect();
+            let licenses = [source, target].map(|side| side.license.as_deref());
+            let mut licenses: Vec<&str> = licenses.into_iter().flatten().collect();
             licenses.dedup();
             self.wordless += u64::from(value.is_none());
             let left_out = value.as_ref().map_or("no instruction", |_| "");

@@ -69,11 +69,8 @@ pub(super) fn write(
     let placed = labels.masks.iter().filter(|mask| plan.has_place(mask));
     let masks = labels.masks.len() - placed.count();
     put(&mut done.beside, "masks", masks as u64);
-    put(
-        &mut done.left_out,
-        "masks_of_short_ranges",
-        labels.num_short,
-    );
+    let num_short = labels.num_short;
+    put(&mut done.left_out, "masks_of_short_ranges", num_short);
     let pairs = labels.pairs.len() - plan.num_pairs();
     put(&mut done.beside, "pairs", pairs as u64);
     progress.finish(&format!(
@@ -99,11 +96,9 @@ impl Labels {
         let mut written: BTreeMap<String, (f64, usize)> = BTreeMap::new();
         for shard in clips.shards(None) {
             let ids = shard.column::<String>("id")?.into_iter();
-            let (rates, frames) = (
-                shard.column::<f32>("fps")?,
-                shard.column::<i32>("n_frames")?,
-            );
-            for (id, (rate, frames)) in ids.zip(rates.into_iter().zip(frames)) {
+            let rates = shard.column::<f32>("fps")?;
+            let frames = shard.column::<i32>("n_frames")?;
+            for ((id, rate), frames) in ids.zip(rates).zip(frames) {
                 let fps = Fps::new(f64::from(rate))?;
                 let frames = usize::try_from(frames).unwrap_or(0);
                 let len = resample::grid(frames, fps, Fps::STORE).len();

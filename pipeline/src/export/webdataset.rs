@@ -78,12 +78,10 @@ impl Shard {
         let array =
             |frames: &[f32], width: usize| npy::encode(&[frames.len() / width, width], frames);
         let key = key(row.id.as_str());
+        let orient = row.global_orient.as_flattened();
         for (name, bytes) in [
             ("transl.npy", array(row.transl.as_flattened(), 3)),
-            (
-                "global_orient.npy",
-                array(row.global_orient.as_flattened(), 3),
-            ),
+            ("global_orient.npy", array(orient, 3)),
             ("body_pose.npy", array(row.body_pose.as_flattened(), 63)),
             ("json", facts(row).to_string().into_bytes()),
         ] {
@@ -127,19 +125,10 @@ fn facts(row: &MotionRow) -> serde_json::Value {
     let captions: Vec<_> = row
         .captions_by_origin()
         .map(|(said, origin)| {
-            json!({
-                "text": said.text,
-                "tokens": said.tokens,
-                "from_s": said.from_s,
-                "to_s": said.to_s,
-                "origin": origin,
-            })
+            let mut said = json!(said);
+            said["origin"] = json!(origin);
+            said
         })
-        .collect();
-    let parts: Vec<_> = row
-        .part_captions
-        .iter()
-        .map(|said| json!({ "part": said.part, "text": said.text }))
         .collect();
     json!({
         "id": row.id.as_str(),
@@ -151,7 +140,7 @@ fn facts(row: &MotionRow) -> serde_json::Value {
         "rotation_source": row.rotation_source,
         "fit_error_m": row.fit_error_m,
         "captions": captions,
-        "parts": parts,
+        "parts": row.part_captions,
         "subject": row.subject,
         "action": row.action,
         "style": row.style,

@@ -7,6 +7,7 @@ use formats::source::labels::{names_beside, names_in_folder};
 use formats::source::name_of_text;
 
 use super::deal::Item;
+use super::inputs::folder_of;
 use super::list::labelled;
 use super::plan::Plan;
 
@@ -18,8 +19,8 @@ impl Plan {
     pub(super) fn added(&self, items: &[Item<'_>]) -> Option<PathBuf> {
         let mut looked = BTreeSet::new();
         for item in items {
-            let file = item.entry.file.as_str();
-            let mut folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);
+            let file = item.planned.entry.file.as_str();
+            let mut folder = folder_of(file);
             let (Some(top), Some(place)) = (self.top(file), self.files.path(file)) else {
                 continue;
             };
@@ -29,7 +30,7 @@ impl Plan {
                 let is_there = self.files.size_beside(&path).is_some();
                 (is_there && !self.is_known(&labelled(folder, name))).then_some(path)
             };
-            if item.release.is_none() {
+            if item.planned.release.is_none() {
                 let mut names = names_beside(Path::new(file)).into_iter();
                 let found = names.find_map(|name| added(folder, place, &name));
                 if found.is_some() {
@@ -44,7 +45,7 @@ impl Plan {
                 if folder == top {
                     break;
                 }
-                folder = folder.rsplit_once('/').map_or("", |(above, _)| above);
+                folder = folder_of(folder);
                 place = place.parent()?;
             }
         }

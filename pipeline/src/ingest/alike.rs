@@ -22,7 +22,7 @@ use crate::likeness::{Sketch, TOLERANCE_M};
 use crate::recordings::Groups;
 
 /// Motions that are equal or nearly so.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct AlikeClips {
     /// Ids of the clips.
     pub clips: Vec<String>,
@@ -58,34 +58,35 @@ impl Alike {
         (root, recorded, fates): (&Path, &Recorded, &Fates<'_>),
         skeleton: &Skeleton,
     ) -> Result<Self, Error> {
-        let mut paths = Vec::new();
-        let (mut all, mut contents) = (Vec::new(), Vec::new());
+        let mut motions = Motions {
+            all: Vec::new(),
+            num_made: 0,
+            paths: Vec::new(),
+            skeleton,
+        };
+        let mut contents = Vec::new();
         for (_, file) in made.1 {
             let path = made.0.path(file);
-            let (numbers, of_file) = numbers_of(&path, paths.len())?;
-            paths.push(path);
-            all.extend(numbers);
+            let (numbers, of_file) = numbers_of(&path, motions.paths.len())?;
+            motions.paths.push(path);
+            motions.all.extend(numbers);
             contents.extend(of_file);
         }
-        let num_made = all.len();
-        if num_made == 0 {
+        motions.num_made = motions.all.len();
+        if motions.num_made == 0 {
             return Ok(Self::default());
         }
         let mut of_shard: BTreeMap<usize, usize> = BTreeMap::new();
         for clip in fates.staying().filter(|clip| clip.has_motion()) {
-            let shard = &recorded.shards[clip.shard];
-            let mut motions = shard
-                .files
-                .iter()
-                .filter(|(table, _)| *table == MotionRow::TABLE);
-            let Some((_, file)) = motions.next() else {
+            let mut files = recorded.shards[clip.shard].files.iter();
+            let Some((_, file)) = files.find(|(table, _)| *table == MotionRow::TABLE) else {
                 continue;
             };
             let file = *of_shard.entry(clip.shard).or_insert_with(|| {
-                paths.push(root.join(&file.path));
-                paths.len() - 1
+                motions.paths.push(root.join(&file.path));
+                motions.paths.len() - 1
             });
-            all.push(Numbers {
+            motions.all.push(Numbers {
                 id: clip.id.to_string(),
                 split: Some(clip.split),
                 num_frames: clip.num_frames,
@@ -94,17 +95,16 @@ impl Alike {
             });
             contents.push(clip.content.clone());
         }
-        let mut groups = Groups::new(all.len());
+        let mut groups = Groups::new(motions.all.len());
         let mut first: BTreeMap<String, usize> = BTreeMap::new();
         for (index, content) in contents.into_iter().enumerate() {
             let first = *first.entry(content).or_insert(index);
             groups.unite(first, index);
         }
         drop(first);
-        let files = Files(paths);
-        files.fill_centres(&mut all, num_made, skeleton)?;
-        let near = files.unite_near(&all, num_made, skeleton, &mut groups)?;
-        Ok(Self::of(&all, &groups, &near))
+        motions.fill_centres()?;
+        let near = motions.unite_near(&mut groups)?;
+        Ok(Self::of(&motions.all, &groups, &near))
     }
 
     fn of(all: &[Numbers], groups: &Groups, near: &[usize]) -> Self {
@@ -141,10 +141,7 @@ impl Alike {
             let Some(split) = splits.get(id.as_str()) else {
                 continue;
             };
-            let alike = by_class.entry(*class).or_insert_with(|| AlikeClips {
-                clips: Vec::new(),
-                splits: Vec::new(),
-            });
+            let alike = by_class.entry(*class).or_default();
             alike.clips.push(id.clone());
             if !alike.splits.contains(split) {
                 alike.splits.push(*split);
@@ -190,27 +187,36 @@ fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
 
 const CLIPS_AT_ONCE: usize = 32;
 
-/// Files of motions, by the numbers in [`Numbers::file`].
-struct Files(Vec<PathBuf>);
+/// The motions that are compared.
+struct Motions<'a> {
+    all: Vec<Numbers>,
+    /// Number of the motions that this run made; they are the first ones.
+    num_made: usize,
+    /// Files of motions, by the numbers in [`Numbers::file`].
+    paths: Vec<PathBuf>,
+    skeleton: &'a Skeleton,
+}
 
-impl Files {
-    /// Applies a function to the sketches of some motions, given by their index in `all`, and returns the results with
-    /// these indices. A thread has one file open at a time.
+/// x of the centre of each motion, and its index in [`Motions::all`], sorted, so that motions that may be nearly equal
+/// lie close together.
+type Order = [(f32, usize)];
+
+impl Motions<'_> {
+    /// Applies a function to the sketches of some motions, given by their indices, and returns the results with these
+    /// indices. A thread has one file open at a time.
     fn sketches<T: Send>(
         &self,
-        all: &[Numbers],
         wanted: impl IntoIterator<Item = usize>,
-        skeleton: &Skeleton,
         made_of: impl Fn(Sketch) -> T + Sync,
     ) -> Result<Vec<(usize, T)>, Error> {
         let mut by_file: BTreeMap<usize, BTreeMap<&str, usize>> = BTreeMap::new();
         for index in wanted {
-            let numbers = &all[index];
+            let numbers = &self.all[index];
             let of_file = by_file.entry(numbers.file).or_default();
             of_file.insert(&numbers.id, index);
         }
         let of_file = |(file, wanted): (usize, BTreeMap<&str, usize>)| {
-            let shard = ShardReader::open(&self.0[file])?;
+            let shard = ShardReader::open(&self.paths[file])?;
             let ids = shard.column::<MotionRow, MotionId>("id")?.into_iter();
             let rows = ids
                 .enumerate()
@@ -222,7 +228,7 @@ impl Files {
             {
                 let clips: Vec<FramesRow> = shard.rows_at(rows)?;
                 for (clip, index) in std::iter::zip(clips, indices) {
-                    let sketch = Sketch::of(&clip.motion()?, skeleton);
+                    let sketch = Sketch::of(&clip.motion()?, self.skeleton);
                     made.push((*index, made_of(sketch)));
                 }
             }
@@ -234,43 +240,28 @@ impl Files {
     }
 
     /// Computes the centres that files of older formats lack, for clips as long as one of the new motions.
-    fn fill_centres(
-        &self,
-        all: &mut [Numbers],
-        num_made: usize,
-        skeleton: &Skeleton,
-    ) -> Result<(), Error> {
-        let made = all[..num_made].iter();
+    fn fill_centres(&mut self) -> Result<(), Error> {
+        let made = self.all[..self.num_made].iter();
         let lengths: BTreeSet<i32> = made
             .flat_map(|made| made.num_frames - 1..=made.num_frames + 1)
             .collect();
         let is_wanted =
             |numbers: &Numbers| numbers.centre.is_none() && lengths.contains(&numbers.num_frames);
-        let wanted = all
-            .iter()
-            .enumerate()
-            .filter(|(_, numbers)| is_wanted(numbers));
-        let wanted = wanted.map(|(index, _)| index);
-        let centres = self.sketches(all, wanted, skeleton, |sketch| sketch.centre())?;
-        for (index, centre) in centres {
-            all[index].centre = Some(centre);
+        let wanted = (0..self.all.len()).filter(|&index| is_wanted(&self.all[index]));
+        for (index, centre) in self.sketches(wanted, |sketch| sketch.centre())? {
+            self.all[index].centre = Some(centre);
         }
         Ok(())
     }
 
     /// Unites motions that are nearly equal, at least one of which was made in this run, and returns one of each pair.
-    fn unite_near(
-        &self,
-        all: &[Numbers],
-        num_made: usize,
-        skeleton: &Skeleton,
-        groups: &mut Groups,
-    ) -> Result<Vec<usize>, Error> {
-        let order = Order::new(all, num_made);
+    fn unite_near(&self, groups: &mut Groups) -> Result<Vec<usize>, Error> {
+        let order = self.order();
+        let indices = |places: [usize; 2]| places.map(|place| order[place].1);
         // Most motions have no neighbour by their numbers, so their frames are not read.
-        let mut is_wanted = vec![false; order.places.len()];
-        order.neighbours(|_, [a, b]| {
-            let [first, second] = order.indices([a, b]);
+        let mut is_wanted = vec![false; order.len()];
+        self.neighbours(&order, |_, [a, b]| {
+            let [first, second] = indices([a, b]);
             if groups.of(first) != groups.of(second) {
                 (is_wanted[a], is_wanted[b]) = (true, true);
             }
@@ -278,15 +269,14 @@ impl Files {
         })?;
         let wanted = is_wanted.iter().enumerate().filter(|(_, wanted)| **wanted);
         let mut sketches = Window {
-            files: self,
+            motions: self,
             order: &order,
-            skeleton,
             coming: wanted.map(|(place, _)| place).collect(),
             held: BTreeMap::new(),
         };
         let mut near = Vec::new();
-        order.neighbours(|start, places| {
-            let [first, second] = order.indices(places);
+        self.neighbours(&order, |start, places| {
+            let [first, second] = indices(places);
             if groups.of(first) != groups.of(second) {
                 let distance = sketches.distance(start, places)?;
                 if distance.is_some_and(|distance| distance <= TOLERANCE_M) {
@@ -298,51 +288,34 @@ impl Files {
         })?;
         Ok(near)
     }
-}
 
-/// Motions sorted by x of their centres, so that those that may be nearly equal lie close together.
-struct Order<'a> {
-    all: &'a [Numbers],
-    num_made: usize,
-    /// x of the centre of each motion, and its index in `all`.
-    places: Vec<(f32, usize)>,
-}
-
-impl<'a> Order<'a> {
-    fn new(all: &'a [Numbers], num_made: usize) -> Self {
-        let numbers = all.iter().enumerate();
-        let mut places: Vec<(f32, usize)> = numbers
+    fn order(&self) -> Vec<(f32, usize)> {
+        let numbers = self.all.iter().enumerate();
+        let mut order: Vec<(f32, usize)> = numbers
             .filter_map(|(index, numbers)| Some((numbers.centre?[0], index)))
             .collect();
-        places.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        Self {
-            all,
-            num_made,
-            places,
-        }
-    }
-
-    fn indices(&self, places: [usize; 2]) -> [usize; 2] {
-        places.map(|place| self.places[place].1)
+        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        order
     }
 
     /// Calls `meet` for each pair of motions whose numbers are nearly equal, if this run made at least one of them. The
     /// arguments of `meet` are the first place that a later call may name, and the two places in ascending order.
     fn neighbours(
         &self,
+        order: &Order,
         mut meet: impl FnMut(usize, [usize; 2]) -> Result<(), Error>,
     ) -> Result<(), Error> {
         let mut start = 0;
         let mut made: VecDeque<usize> = VecDeque::new();
-        for (at, &(x, index)) in self.places.iter().enumerate() {
-            while !is_near(self.places[start].0, x) {
+        for (at, &(x, index)) in order.iter().enumerate() {
+            while !is_near(order[start].0, x) {
                 start += 1;
             }
             while made.front().is_some_and(|place| *place < start) {
                 made.pop_front();
             }
             let mut meet = |before: usize| {
-                let other = self.places[before].1;
+                let other = order[before].1;
                 match may_be_near(&self.all[index], &self.all[other]) {
                     true => meet(start, [before, at]),
                     false => Ok(()),
@@ -365,9 +338,8 @@ const SKETCHES_AT_ONCE: usize = 4096;
 
 /// Sketches of the motions that are compared now, and of some that come after them.
 struct Window<'a> {
-    files: &'a Files,
-    order: &'a Order<'a>,
-    skeleton: &'a Skeleton,
+    motions: &'a Motions<'a>,
+    order: &'a Order,
     /// Places in `order` of the sketches that are not read yet, ascending.
     coming: VecDeque<usize>,
     held: BTreeMap<usize, Sketch>,
@@ -390,17 +362,12 @@ impl Window<'_> {
         let next: BTreeMap<usize, usize> = self
             .coming
             .drain(..count)
-            .map(|place| (self.order.places[place].1, place))
+            .map(|place| (self.order[place].1, place))
             .collect();
         let wanted = next.keys().copied();
-        let all = self.order.all;
-        let read = self
-            .files
-            .sketches(all, wanted, self.skeleton, |sketch| sketch)?;
-        let placed = read
-            .into_iter()
-            .map(|(index, sketch)| (next[&index], sketch));
-        self.held.extend(placed);
+        for (index, sketch) in self.motions.sketches(wanted, |sketch| sketch)? {
+            self.held.insert(next[&index], sketch);
+        }
         Ok(())
     }
 }

@@ -6,21 +6,15 @@ use datasets_spec::dataset::ShardName;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{MotionId, Split};
-use formats::source::{Entry, Format};
 
-use super::plan::Plan;
+use super::plan::{Plan, Planned};
 
 /// Source items per shard: few enough that every thread can hold a shard in memory.
 pub(crate) const SHARD_SOURCES: usize = 256;
 
 pub(super) struct Item<'a> {
-    pub(super) entry: &'a Entry,
+    pub(super) planned: &'a Planned,
     pub(super) source_name: &'a str,
-    pub(super) prefix: &'a str,
-    pub(super) inputs: &'a str,
-    pub(super) format: Format,
-    pub(super) release: Option<usize>,
-    pub(super) split: Split,
     pub(super) id: Result<MotionId, String>,
 }
 
@@ -87,13 +81,8 @@ impl Plan {
     fn item(&self, place: usize, id: Result<MotionId, String>) -> Item<'_> {
         let planned = &self.items[place];
         Item {
-            entry: &planned.entry,
+            planned,
             source_name: self.source_name(&planned.entry.file),
-            prefix: &planned.prefix,
-            inputs: &planned.inputs,
-            format: planned.format,
-            release: planned.release,
-            split: planned.split,
             id,
         }
     }

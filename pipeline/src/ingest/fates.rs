@@ -17,10 +17,10 @@ pub(super) enum Fate {
     /// The clip's source is not among those of this run, or cannot be read now.
     Elsewhere,
     Kept,
-    /// The clip is read again; `is_same_file` says whether its file is unchanged.
-    ReadAgain {
-        is_same_file: bool,
-    },
+    /// The clip is read again although its file is unchanged.
+    ReadAgain,
+    /// The clip is read again because its file changed.
+    Changed,
     /// The clip's file is missing, and the clip stays.
     Missing,
     /// The file no longer gives the clip, and the clip stays as it was.
@@ -72,11 +72,11 @@ impl<'a> Fates<'a> {
         let mut fates: Vec<Fate> = fates.collect();
         for item in &plan.items {
             let Some(index) = item.known else { continue };
+            let is_same_file = || plan.hash_of(item) == recorded.clips[index].hash;
             fates[index] = match item.is_kept {
                 true => Fate::Kept,
-                false => Fate::ReadAgain {
-                    is_same_file: plan.hash_of(item) == recorded.clips[index].hash,
-                },
+                false if is_same_file() => Fate::ReadAgain,
+                false => Fate::Changed,
             };
         }
         let clips = recorded.clips.iter().enumerate();
@@ -97,7 +97,7 @@ impl<'a> Fates<'a> {
     /// files no longer give them.
     pub(super) fn settle(&mut self, reread: impl Fn(&str) -> Reread) {
         for (clip, fate) in self.recorded.clips.iter().zip(&mut self.fates) {
-            if !matches!(fate, Fate::ReadAgain { .. }) {
+            if !matches!(fate, Fate::ReadAgain | Fate::Changed) {
                 continue;
             }
             match reread(clip.id.as_str()) {
@@ -117,7 +117,7 @@ impl<'a> Fates<'a> {
     fn stays(&self, index: usize) -> bool {
         !matches!(
             self.fates[index],
-            Fate::ReadAgain { .. } | Fate::Pruned { .. }
+            Fate::ReadAgain | Fate::Changed | Fate::Pruned { .. }
         )
     }
 
@@ -165,9 +165,8 @@ impl<'a> Fates<'a> {
     pub(super) fn rewritten(&self) -> BTreeMap<Split, usize> {
         let mut counts = BTreeMap::new();
         for shard in &self.rewritten {
-            *counts
-                .entry(self.recorded.shards[*shard].split)
-                .or_default() += 1;
+            let split = self.recorded.shards[*shard].split;
+            *counts.entry(split).or_default() += 1;
         }
         counts
     }
@@ -251,12 +250,8 @@ impl<'a> Fates<'a> {
         Growth {
             new: new.count() as u64,
             kept: self.staying().count() as u64,
-            read_again: with(|fate| fate == Fate::ReadAgain { is_same_file: true }),
-            changed: with(|fate| {
-                fate == Fate::ReadAgain {
-                    is_same_file: false,
-                }
-            }),
+            read_again: with(|fate| fate == Fate::ReadAgain),
+            changed: with(|fate| fate == Fate::Changed),
             moved: moved.map(|item| item.id.clone()).collect(),
             missing: with(|fate| fate == Fate::Missing),
             kept_unusable: with(|fate| fate == Fate::Unusable),

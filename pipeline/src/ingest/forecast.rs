@@ -149,8 +149,8 @@ impl Plan {
             }
             match fates.of_clip(&clip.id) {
                 Some(Fate::Kept | Fate::Elsewhere | Fate::Unread) | None => source.equal.push(id),
-                Some(Fate::ReadAgain { is_same_file: true }) => source.read_again.push(id),
-                Some(Fate::ReadAgain { .. }) => source.changed.push(id),
+                Some(Fate::ReadAgain) => source.read_again.push(id),
+                Some(Fate::Changed) => source.changed.push(id),
                 Some(Fate::Missing) => source.missing.push(id),
                 Some(Fate::Unusable) => source.kept_unusable.push(id),
                 Some(Fate::Pruned { .. }) => source.pruned.push(id),

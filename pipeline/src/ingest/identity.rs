@@ -10,7 +10,7 @@ use formats::source::{Entry, Format, escaped};
 use super::alike::Alike;
 use super::list::{path_of, without_extension};
 use super::plan::{Plan, Planned};
-use super::recorded::{Recorded, RecordedClip};
+use super::recorded::Recorded;
 use super::shard::PIECE_STAGE;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
@@ -107,7 +107,9 @@ impl Plan {
             let Some(index) = found else { return };
             let clip = &recorded.clips[index];
             item.known = Some(index);
-            item.is_kept = same_settings && !moved && Self::is_unchanged(item, clip);
+            // Captures without a motion, which earlier versions kept, are read again.
+            let is_unchanged = clip.has_motion() && item.inputs == clip.inputs;
+            item.is_kept = same_settings && !moved && is_unchanged;
             item.id = clip.id.to_string();
             if item.release.is_some() {
                 let prefix = item.id.strip_suffix(&item.entry.id);
@@ -162,11 +164,6 @@ impl Plan {
         moved.collect()
     }
 
-    /// Whether a clip need not be read again. Captures without a motion, which earlier versions kept, are read again.
-    fn is_unchanged(item: &Planned, clip: &RecordedClip) -> bool {
-        clip.has_motion() && item.inputs == clip.inputs
-    }
-
     /// As [`Plan::motion_hash`]; empty if a file cannot be read.
     pub(super) fn hash_of(&self, item: &Planned) -> String {
         let hash = self.motion_hash(item.release, &item.entry);
@@ -202,24 +199,19 @@ impl Plan {
     /// Gives the new motions of releases their ids.
     fn name_releases(&self, items: &mut [Planned], taken: &mut BTreeSet<String>) {
         for (index, (format, release)) in self.releases.iter().enumerate() {
-            let own = |item: &&mut Planned| item.release == Some(index);
-            let known = items
-                .iter()
-                .find(|item| item.release == Some(index) && item.known.is_some());
-            let prefix = match known {
+            let is_own = |item: &Planned| item.release == Some(index);
+            let mut known = items.iter().filter(|item| item.known.is_some());
+            let prefix = match known.find(|item| is_own(item)) {
                 Some(known) => known.prefix.clone(),
                 None => prefix_of(*format, &release.contents().entries, taken),
             };
-            for item in items
-                .iter_mut()
-                .filter(own)
-                .filter(|item| item.known.is_none())
-            {
-                item.prefix.clone_from(&prefix);
-                item.id = format!("{prefix}{}", item.entry.id);
+            for item in items.iter_mut().filter(|item| is_own(item)) {
+                if item.known.is_none() {
+                    item.prefix.clone_from(&prefix);
+                    item.id = format!("{prefix}{}", item.entry.id);
+                }
+                taken.insert(item.id.clone());
             }
-            let ids = items.iter().filter(|item| item.release == Some(index));
-            taken.extend(ids.map(|item| item.id.clone()));
         }
     }
 
@@ -368,8 +360,7 @@ impl Plan {
                 first.split,
             )
         });
-        let remarks = unlisted.chain(others);
-        let remarks: Vec<String> = remarks.collect();
+        let remarks: Vec<String> = unlisted.chain(others).collect();
         self.notes.remarks.extend(remarks);
     }
 
@@ -387,14 +378,10 @@ impl Plan {
             SplitBy::Clip => None,
             SplitBy::Subject => {
                 let source = self.source_name(&item.entry.file);
-                item.subject
-                    .as_ref()
-                    .map(|subject| format!("subject:{source}/{subject}"))
+                let subject = item.subject.as_ref()?;
+                Some(format!("subject:{source}/{subject}"))
             }
-            SplitBy::Action => item
-                .action
-                .as_ref()
-                .map(|action| format!("action:{action}")),
+            SplitBy::Action => Some(format!("action:{}", item.action.as_ref()?)),
         }
     }
 
@@ -403,11 +390,8 @@ impl Plan {
         if self.notes.split_by == SplitBy::Clip {
             return;
         }
-        let lacking = self
-            .items
-            .iter()
-            .filter(|item| self.split_label(item).is_none());
-        let count = lacking.count();
+        let lacks = |item: &&Planned| self.split_label(item).is_none();
+        let count = self.items.iter().filter(lacks).count();
         if count > 0 {
             self.notes.remarks.push(format!(
                 "{count} of {} clips state no {by}, and their splits were drawn by clip; a label file, a sidecar or a table of \

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::Digest;
 use formats::source::Contents;
 
 use super::list::{Source, source_hash};
@@ -110,8 +111,7 @@ impl<'a> LabelsBelow<'a> {
         sources: &BTreeMap<String, Source>,
     ) -> impl Iterator<Item = &'a str> + use<'a, 'b> {
         let source = sources.get(file).map(|source| source.of);
-        let around =
-            above(split_name(file).0).filter_map(move |folder| self.0.get(&(source, folder)));
+        let around = above(folder_of(file)).filter_map(move |folder| self.0.get(&(source, folder)));
         around.flatten().copied()
     }
 }
@@ -130,13 +130,11 @@ pub(super) fn of_single_files<'a>(
 
 /// Hash of the inputs of a file with hashes of files beside it, if there are any.
 pub(super) fn with_beside(inputs: &str, beside: &[String]) -> String {
-    match beside.is_empty() {
-        true => inputs.to_owned(),
-        false => {
-            let all = format!("{inputs} {}", beside.join(" "));
-            blake3::hash(all.as_bytes()).to_hex().to_string()
-        }
+    if beside.is_empty() {
+        return inputs.to_owned();
     }
+    let all = format!("{inputs} {}", beside.join(" "));
+    blake3::hash(all.as_bytes()).to_hex().to_string()
 }
 
 pub(super) struct FilesOfRelease<'a> {
@@ -200,11 +198,16 @@ pub(super) fn of_release(
         .collect()
 }
 
-fn above(folder: &str) -> impl Iterator<Item = &str> {
-    std::iter::successors(Some(folder), |folder| match *folder {
-        "" => None,
-        folder => Some(folder.rsplit_once('/').map_or("", |(above, _)| above)),
+/// A folder, and those above it up to the top.
+pub(super) fn above(folder: &str) -> impl Iterator<Item = &str> {
+    std::iter::successors(Some(folder), |folder| {
+        (!folder.is_empty()).then(|| folder_of(folder))
     })
+}
+
+/// The folder of a file; empty at the top.
+pub(super) fn folder_of(file: &str) -> &str {
+    split_name(file).0
 }
 
 fn split_name(file: &str) -> (&str, &str) {
@@ -227,14 +230,12 @@ fn own_stem<'a>(name: &'a str, stems: &BTreeSet<&str>) -> Option<&'a str> {
 
 /// BLAKE3 over names and hashes of files.
 fn hash<'a>(files: impl Iterator<Item = &'a str>, sources: &BTreeMap<String, Source>) -> String {
-    let mut hasher = blake3::Hasher::new();
+    let mut digest = Digest::default();
     for file in files {
-        for part in [split_name(file).1, source_hash(sources, file)] {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        }
+        digest.part(split_name(file).1);
+        digest.part(source_hash(sources, file));
     }
-    hasher.finalize().to_hex().to_string()
+    digest.hex()
 }
 
 #[cfg(test)]

@@ -169,16 +169,12 @@ impl Ingestion {
         let is_it = |name: &ShardName| {
             name.split == Some(detail.split) && (name.index, name.of) == (detail.index, detail.of)
         };
-        match shard.filter(|shard| is_it(&shard.name)) {
-            Some(shard) => Ok((shard, detail)),
-            None => Err(Failed::new(
-                "E-PLAN",
-                format!(
-                    "the tables of the plan do not have {}; plan again",
-                    piece.name
-                ),
-            )),
-        }
+        let shard = shard.filter(|shard| is_it(&shard.name)).ok_or_else(|| {
+            let name = &piece.name;
+            let reason = format!("the tables of the plan do not have {name}; plan again");
+            Failed::new("E-PLAN", reason)
+        })?;
+        Ok((shard, detail))
     }
 
     fn check(&self, detail: &Detail) -> Result<(), Failed> {
@@ -194,13 +190,11 @@ impl Ingestion {
         let place = place.map_or(PathBuf::from(path), Path::to_owned);
         Err(match found {
             Ok(_) => work::Error::SourceChanged { path: place }.into(),
-            Err(error) => Failed::new(
-                "E-IO",
-                format!(
-                    "cannot read {}: {error}; make the piece again",
-                    place.display()
-                ),
-            ),
+            Err(error) => {
+                let place = place.display();
+                let reason = format!("cannot read {place}: {error}; make the piece again");
+                Failed::new("E-IO", reason)
+            }
         })
     }
 }
@@ -247,11 +241,8 @@ impl Job for Ingestion {
         let prepared = Prepared::of(store.as_ref(), root, transaction.base(), &self.given)?;
         prepared.refuse_other_settings(root)?;
         let version = transaction.base().map_or(0, |base| base.version);
-        if self
-            .plan
-            .hash(&prepared.settings, &prepared.options, version)
-            != plan.hash()
-        {
+        let (settings, options) = (&prepared.settings, &prepared.options);
+        if self.plan.hash(settings, options, version) != plan.hash() {
             return Err(work::Error::BadPlan {
                 path: plan.path().to_owned(),
                 reason: "its tables were altered; plan again".to_owned(),

@@ -16,7 +16,6 @@ use super::plan::Plan;
 use super::recorded::Recorded;
 use super::sources::SourceLabel;
 use crate::Error;
-use crate::facts::json;
 use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
 
 /// Labels of the previous version that are kept, and those that are lost.
@@ -90,8 +89,8 @@ impl Fates<'_> {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable | Fate::Unread) => {
                 return Ok(false);
             }
-            Some(Fate::ReadAgain { is_same_file: true }) => return Ok(true),
-            Some(Fate::ReadAgain { .. }) => format!("the file of {id} changed"),
+            Some(Fate::ReadAgain) => return Ok(true),
+            Some(Fate::Changed) => format!("the file of {id} changed"),
             Some(Fate::Pruned { is_there: false }) => format!("the file of {id} is gone"),
             Some(Fate::Pruned { is_there: true }) => format!("{id} cannot be used any more"),
             None => format!("{id} is not in the dataset"),
@@ -180,10 +179,6 @@ impl Plan {
         }
         sources.sort_by(|a, b| (&a.label, &a.name).cmp(&(&b.label, &b.name)));
         sources
-    }
-
-    pub(super) fn all_sources(&self, recorded: &Recorded) -> String {
-        json(&self.all_labels(recorded))
     }
 
     pub(super) fn has_known_sources(&self, recorded: &Recorded) -> bool {

@@ -161,7 +161,27 @@ impl Known<'_> {
         let names = listed.iter().map(|source| self.name(source, remarks));
         let names: Vec<String> = names.collect::<Result<_, _>>()?;
         refuse_equal_names(&names, listed)?;
+        self.refuse_shared_files(&names, listed)?;
         Ok(names)
+    }
+
+    /// Refuses two sources that list the same file, unless the dataset has both already.
+    fn refuse_shared_files(&self, names: &[String], listed: &[Listed]) -> Result<(), Error> {
+        let named = || names.iter().zip(listed);
+        for (name, source) in named() {
+            for (other, within) in named().filter(|(other, _)| *other != name) {
+                let is_new = self.source(name).is_none() || self.source(other).is_none();
+                if is_new && let Some(file) = source.shared_with(within) {
+                    return Err(Error::asked(format!(
+                        "sources {name:?} ({}) and {other:?} ({}) both hold {file}, whose motions would be ingested \
+                         twice; give one of them",
+                        source.given.display(),
+                        within.given.display()
+                    )));
+                }
+            }
+        }
+        Ok(())
     }
 
     fn source(&self, name: &str) -> Option<&SourceLabel> {

@@ -164,6 +164,16 @@ impl Listed {
         }
     }
 
+    /// A file of this source that another source in the same folder, or in one below, lists too.
+    pub(super) fn shared_with(&self, other: &Self) -> Option<String> {
+        let below = other.folder.strip_prefix(&self.folder).ok()?;
+        let below: Vec<String> = below.iter().map(text_of_name).collect();
+        let below = below.join("/");
+        let mut files = other.listing.files.keys();
+        let is_here = |file: &String| self.listing.files.contains_key(file);
+        files.find_map(|file| Some(labelled(&below, file)).filter(is_here))
+    }
+
     pub(super) fn is_there(arg: &SourceArg) -> bool {
         let holds_files = |folder: &Path| {
             // A folder at a URL counts as present; listing it shows whether it is.
@@ -226,15 +236,10 @@ impl Listed {
         self.left_out.extend(own.map(|own| (own, true)));
         let left_out = &self.left_out;
         let is_in = |path: &str| {
-            if path
-                .split_once('/')
-                .is_some_and(|(first, _)| first == PRIVATE)
-            {
-                return true;
-            }
+            let top = path.split_once('/').map(|(top, _)| top);
             let ends = path.match_indices('/').map(|(end, _)| end);
             let mut folders = ends.chain([path.len()]).map(|end| &path[..end]);
-            folders.any(|folder| left_out.contains_key(folder))
+            top == Some(PRIVATE) || folders.any(|folder| left_out.contains_key(folder))
         };
         let listing = &mut self.listing;
         listing.files.retain(|file, _| !is_in(file));
@@ -305,15 +310,11 @@ pub(crate) fn list_sources(
         source.listing.open_archives(progress)?;
     }
     if listed.iter().all(|source| source.listing.files.is_empty()) {
-        let paths: Vec<String> = sources
-            .iter()
-            .map(|source| source.path.display().to_string())
-            .collect();
+        let paths = sources.iter().map(|source| source.path.display());
+        let paths: Vec<String> = paths.map(|path| path.to_string()).collect();
         let hint = listed.first().map(|source| source.listing.why_empty());
-        return Err(Error::no_files(
-            &paths.join(", "),
-            &hint.unwrap_or_default(),
-        ));
+        let hint = hint.unwrap_or_default();
+        return Err(Error::no_files(&paths.join(", "), &hint));
     }
     Ok(listed)
 }
@@ -385,7 +386,6 @@ fn numbered_labels(listed: &[Listed]) -> Vec<String> {
         .collect()
 }
 
-/// A path relative to a source, prefixed with the label of the source.
 /// The only motion of a file.
 pub(super) fn whole(file: &str) -> Entry {
     Entry {
@@ -394,6 +394,7 @@ pub(super) fn whole(file: &str) -> Entry {
     }
 }
 
+/// A path relative to a source, prefixed with the label of the source.
 pub(crate) fn labelled(label: &str, name: &str) -> String {
     match label {
         "" => name.to_owned(),

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use clip::{LabelProblem, Rejected, rejected};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
-use datasets_spec::{Progress, Split};
+use datasets_spec::{Digest, Progress, Split};
 use formats::sidecar::Sidecar;
 use formats::source::archive::{self, Archives};
 use formats::source::labels::{self, FolderLabels};
@@ -621,38 +621,34 @@ impl Plan {
 
     /// Hash of everything that determines the rows of this run.
     pub(super) fn hash(&self, settings: &Settings, options: &IngestOptions, base: u64) -> String {
-        let mut hasher = blake3::Hasher::new();
-        let mut take = |part: &str| {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        };
-        take(&settings.text());
-        take(&base.to_string());
-        take(if options.prune { "prune" } else { "" });
+        let mut digest = Digest::default();
+        digest.part(&settings.text());
+        digest.part(&base.to_string());
+        digest.part(if options.prune { "prune" } else { "" });
         for source in &self.notes.given {
-            take(&source.label.name);
-            take(&source.label.label);
-            take(if source.is_whole { "whole" } else { "" });
+            digest.part(&source.label.name);
+            digest.part(&source.label.label);
+            digest.part(if source.is_whole { "whole" } else { "" });
         }
         for (relative, source) in &self.sources {
-            take(relative);
-            take(source.hash.as_deref().unwrap_or(""));
+            digest.part(relative);
+            digest.part(source.hash.as_deref().unwrap_or(""));
         }
         // The list of motions can depend on more than the files, such as an index elsewhere.
         for item in &self.items {
-            take(item.format.as_str());
-            take(&item.entry.file);
-            take(&item.entry.key);
-            take(&item.prefix);
-            take(&item.entry.id);
-            take(&item.id);
-            take(item.split.as_str());
-            take(if item.is_kept { "kept" } else { "" });
+            digest.part(item.format.as_str());
+            digest.part(&item.entry.file);
+            digest.part(&item.entry.key);
+            digest.part(&item.prefix);
+            digest.part(&item.entry.id);
+            digest.part(&item.id);
+            digest.part(item.split.as_str());
+            digest.part(if item.is_kept { "kept" } else { "" });
         }
         if let Some(list) = &options.pairs {
-            take(list.hash());
+            digest.part(list.hash());
         }
-        hasher.finalize().to_hex().to_string()
+        digest.hex()
     }
 }
 

@@ -216,11 +216,17 @@ pub(super) fn effective(
     base: Option<&Manifest>,
     options: &IngestOptions,
 ) -> (IngestOptions, Vec<String>) {
-    let (seed, kept_seed) = split_seed(base, options.seed);
-    let (split_by, kept_by) = split_by(base, options.split_by);
+    // An existing dataset keeps its seed and grouping, so that no clip moves.
+    let seed = base
+        .filter(|base| base.plans.contains_key(MotionRow::TABLE))
+        .and_then(|base| base.facts.get(SEED_FACT)?.parse().ok().map(Seed));
+    let split_by = SplitBy::recorded(base);
+    let with_seed = |seed: Seed| format!("with seed {}", seed.0);
+    let kept_seed = kept_splits(seed, Some(options.seed), with_seed);
+    let kept_by = kept_splits(split_by, options.split_by, |by| format!("by {by}"));
     let options = IngestOptions {
-        seed,
-        split_by: Some(split_by),
+        seed: seed.unwrap_or(options.seed),
+        split_by: Some(split_by.or(options.split_by).unwrap_or_default()),
         read: ReadOptions {
             // The published stride rule counts the file's own frames, so the reader must not resample them.
             rate: options.fps.filter(|_| options.resample == Resample::Exact),
@@ -231,37 +237,20 @@ pub(super) fn effective(
     (options, kept_seed.into_iter().chain(kept_by).collect())
 }
 
-/// The grouping that splits are drawn by, and a remark if it differs from the requested one.
-fn split_by(base: Option<&Manifest>, asked: Option<SplitBy>) -> (SplitBy, Option<String>) {
-    let recorded = SplitBy::recorded(base);
-    let kept = recorded
-        .zip(asked)
-        .filter(|(recorded, asked)| recorded != asked);
-    let remark = kept.map(|(recorded, asked)| {
+/// A remark on splits that stay as they were drawn, if that was another way than the requested one; `way` says it in
+/// words.
+fn kept_splits<T: PartialEq>(
+    recorded: Option<T>,
+    asked: Option<T>,
+    way: impl Fn(T) -> String,
+) -> Option<String> {
+    let (recorded, asked) = recorded.zip(asked)?;
+    (recorded != asked).then(|| {
         format!(
-            "the splits were drawn by {recorded} when the dataset was made and stay as they are; ingest into a new folder to \
-             draw them by {asked}"
+            "the splits were drawn {} when the dataset was made and stay as they are; ingest into a new folder to \
+             draw them {}",
+            way(recorded),
+            way(asked)
         )
-    });
-    (recorded.or(asked).unwrap_or_default(), remark)
-}
-
-/// The seed of the splits, and a remark if it is not the requested one: an existing dataset keeps its seed, so that no
-/// clip moves.
-fn split_seed(base: Option<&Manifest>, asked: Seed) -> (Seed, Option<String>) {
-    let recorded = base
-        .filter(|base| base.plans.contains_key(MotionRow::TABLE))
-        .and_then(|base| base.facts.get(SEED_FACT)?.parse().ok().map(Seed));
-    match recorded {
-        Some(seed) if seed != asked => {
-            let remark = format!(
-                "the splits were drawn with seed {} when the dataset was made and stay as they are; \
-                 ingest into a new folder to draw them with seed {}",
-                seed.0, asked.0
-            );
-            (seed, Some(remark))
-        }
-        Some(seed) => (seed, None),
-        None => (asked, None),
-    }
+    })
 }

@@ -1,7 +1,6 @@
 //! The report of a run, and the sums over its shards.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
 use clip::LabelProblem;
 use datasets_spec::license;
@@ -61,8 +60,13 @@ pub struct IngestReport {
     pub growth: Option<Growth>,
 }
 
-pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, Error> {
-    let dataset = Dataset::open(out)?;
+/// The report on a dataset with these rejected sources, without what only a run knows that wrote it.
+pub(super) fn report_on(
+    dataset: Dataset,
+    plan: &Plan,
+    quarantine: Vec<QuarantineRow>,
+    skipped: &[SkippedRow],
+) -> Result<IngestReport, Error> {
     let facts = &dataset.manifest().facts;
     let dropped = facts.get("dropped_pairs");
     Ok(IngestReport {
@@ -74,10 +78,10 @@ pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, 
         accounting: dataset.manifest().accounting.clone(),
         files: plan.files.len() as u64,
         dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
-        quarantine: dataset.read(None)?,
-        skipped: counted(&dataset.read::<SkippedRow>(None)?),
+        quarantine,
+        skipped: counted(skipped),
         resumed_shards: 0,
-        already_complete: true,
+        already_complete: false,
         alike: Vec::new(),
         growth: None,
         dataset,
@@ -236,7 +240,7 @@ impl Tally {
 
 /// Number of skipped items by reason. The reason of a clip that its owner took out names the clip, so the id is left
 /// out.
-pub(super) fn counted(skipped: &[SkippedRow]) -> BTreeMap<String, u64> {
+fn counted(skipped: &[SkippedRow]) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     for row in skipped {
         let reason = match taken_out(row) {

@@ -10,13 +10,14 @@ use datasets_spec::record::{
 };
 use datasets_spec::table::Quality;
 use datasets_spec::{
-    BlendMask, BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
+    BlendMask, BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton,
 };
 use features::humanml3d::{self, Features};
 use features::smpl_body;
 
 use super::deal::Item;
 use super::options::IngestOptions;
+use super::plan::Planned;
 use crate::likeness::Sketch;
 
 /// Mean distance in metres between source and stored joints above which a clip is flagged: retargeted captures of
@@ -49,9 +50,9 @@ fn marker_row(
 ) -> MarkerRow {
     MarkerRow {
         id,
-        split: item.split,
+        split: item.planned.split,
         source_name: item.source_name.to_owned(),
-        source_path: item.entry.file.clone(),
+        source_path: item.planned.entry.file.clone(),
         source_hash,
         license,
         fps: markers.fps.get() as f32,
@@ -74,46 +75,46 @@ pub(super) fn clip_rows(
     if !options.made_captions {
         clip.made_captions.clear();
     }
-    let fps_source = clip.source_fps;
+    let skeleton = &options.read.skeleton;
     if options.teleports != Teleports::Keep {
-        drop_reference(&mut clip, &options.read.skeleton);
+        drop_reference(&mut clip, skeleton);
     }
     let target = options.fps.unwrap_or(clip.motion.fps());
     let (motion, quality) = stored(&mut clip, target, options)?;
     let rates = target.get() / clip.motion.fps().get();
     clip.move_masks(motion.len(), |frame| frame * rates);
-    let entry = item.entry;
-    let features = match options.humanml3d_features {
-        true => {
-            let features = stored_features(&mut clip, &motion, target, &options.read.skeleton)?;
-            Some(feature_row(features, &motion, &id, item.split))
-        }
-        false => None,
-    };
+    let Planned { entry, prefix, .. } = item.planned;
+    let mirrored_of = entry.mirrored_of.as_ref();
+    let features = options
+        .humanml3d_features
+        .then(|| stored_features(&mut clip, &motion, target, skeleton));
+    let features = features.transpose()?.map(|features| HumanMl3dRow {
+        id: id.clone(),
+        split: item.planned.split,
+        recipe: humanml3d::RECIPE.to_owned(),
+        fps: motion.fps().get() as f32,
+        n_frames: frames(features.len()),
+        features,
+    });
     let caption_origins = caption_origins(&clip);
     let license = clip.license.or_else(|| options.license.clone());
     let markers = clip.markers.map(|markers| {
         let (id, hash) = (id.clone(), source_hash.clone());
         marker_row(markers, id, item, hash, license.clone())
     });
-    let [centre_x, centre_y, centre_z] = Sketch::of(&motion, &options.read.skeleton)
-        .centre()
-        .map(Some);
+    let [centre_x, centre_y, centre_z] = Sketch::of(&motion, skeleton).centre().map(Some);
     let motion = MotionRow {
         id,
-        split: item.split,
-        source: item.format.as_str().to_owned(),
+        split: item.planned.split,
+        source: item.planned.format.as_str().to_owned(),
         source_name: item.source_name.to_owned(),
         source_path: entry.file.clone(),
         source_hash,
         license,
-        mirrored_of: entry
-            .mirrored_of
-            .as_ref()
-            .map(|id| format!("{}{id}", item.prefix)),
-        skeleton: options.read.skeleton.name().to_owned(),
+        mirrored_of: mirrored_of.map(|id| format!("{prefix}{id}")),
+        skeleton: skeleton.name().to_owned(),
         fps: motion.fps().get() as f32,
-        fps_source: fps_source.get() as f32,
+        fps_source: clip.source_fps.get() as f32,
         start_frame: frames(clip.source_frames.start),
         end_frame: frames(clip.source_frames.end),
         n_frames: frames(motion.len()),
@@ -125,7 +126,7 @@ pub(super) fn clip_rows(
         caption_origins,
         captions: [clip.captions, clip.made_captions].concat(),
         subject: clip.subject,
-        inputs_hash: item.inputs.to_owned(),
+        inputs_hash: item.planned.inputs.clone(),
         part_captions: clip.part_captions,
         action: clip.action,
         style: clip.style,
@@ -191,10 +192,12 @@ fn stored_features(
     // HumanML3D uses the joints of SMPL, whose positions differ from SMPL-X's.
     let body = clip.body.clone();
     let body = body.unwrap_or_else(|| smpl_body(skeleton));
-    match carried.filter(|_| target == clip.motion.fps()) {
-        Some(features) => Ok(features),
-        None => features_of(motion, &body),
+    if let Some(features) = carried.filter(|_| target == clip.motion.fps()) {
+        return Ok(features);
     }
+    let joints = humanml3d::joints_of_motion(motion, &body);
+    humanml3d::features_of_joints(&joints)
+        .map_err(|error| Rejected::check("E-FEATURES", error.to_string()))
 }
 
 /// Origin of each caption of a clip.
@@ -225,28 +228,6 @@ fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
     clip.flags |= FLAG_REFERENCE_DROPPED;
 }
 
-fn features_of(motion: &Motion, body: &Skeleton) -> Result<Vec<Features>, Rejected> {
-    let joints = humanml3d::joints_of_motion(motion, body);
-    humanml3d::features_of_joints(&joints)
-        .map_err(|error| Rejected::check("E-FEATURES", error.to_string()))
-}
-
-fn feature_row(
-    features: Vec<Features>,
-    motion: &Motion,
-    id: &MotionId,
-    split: Split,
-) -> HumanMl3dRow {
-    HumanMl3dRow {
-        id: id.clone(),
-        split,
-        recipe: humanml3d::RECIPE.to_owned(),
-        fps: motion.fps().get() as f32,
-        n_frames: frames(features.len()),
-        features,
-    }
-}
-
 pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
     // Times are written with one decimal at most, and a clip of n frames ends a frame early.
     const TOLERANCE_SECS: f32 = 0.15;
@@ -271,11 +252,11 @@ pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
 /// The pair of a clip and the motion it edits; `None` if that motion's id is malformed. Whether that motion is in the
 /// dataset is known once every shard is done.
 pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<PairRow> {
-    let source_id = MotionId::parse(&format!("{}{}", item.prefix, edit.source_id)).ok()?;
+    let source_id = MotionId::parse(&format!("{}{}", item.planned.prefix, edit.source_id)).ok()?;
     if let Some(row) = edit.made {
         return Some(PairRow {
-            id: format!("{}{}", item.prefix, row.id),
-            split: item.split,
+            id: format!("{}{}", item.planned.prefix, row.id),
+            split: item.planned.split,
             source_id,
             target_id: target.clone(),
             ..row
@@ -283,8 +264,8 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
     }
     Some(PairRow {
         id: format!("{source_id}+{target}"),
-        split: item.split,
-        source: item.format.as_str().to_owned(),
+        split: item.planned.split,
+        source: item.planned.format.as_str().to_owned(),
         kind: edit.kind.to_owned(),
         source_id,
         target_id: target.clone(),
@@ -300,9 +281,9 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
 pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> MaskRow {
     if let Some(row) = mask.made {
         return MaskRow {
-            id: format!("{}{}", item.prefix, row.id),
+            id: format!("{}{}", item.planned.prefix, row.id),
             motion_id: motion.clone(),
-            split: item.split,
+            split: item.planned.split,
             ..row
         };
     }
@@ -310,7 +291,7 @@ pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> Mask
     MaskRow {
         id: String::new(),
         motion_id: motion.clone(),
-        split: item.split,
+        split: item.planned.split,
         parts: part_names(&mask.parts),
         hard_joints: blend.hard().names(),
         soft_joints: blend.soft().names(),
@@ -319,7 +300,7 @@ pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> Mask
         mask_def_version: MASK_DEF_VERSION,
         text: mask.text,
         text_origin: "imported".to_owned(),
-        author: item.format.as_str().to_owned(),
+        author: item.planned.format.as_str().to_owned(),
         accepted_by: None,
     }
 }

@@ -26,7 +26,7 @@ use super::options::{
 };
 use super::plan::Plan;
 use super::prepared::Prepared;
-use super::report::{IngestReport, Tally, already_complete, counted};
+use super::report::{IngestReport, Tally, report_on};
 use super::shard::ShardNotes;
 use super::sources::SOURCES_FACT;
 use crate::Error;
@@ -56,7 +56,7 @@ pub(super) enum Pieces {
 pub(super) fn piece(plan_hash: &str, number: usize, name: &ShardName, items: &[Item]) -> Piece {
     let reads = items
         .iter()
-        .flat_map(|item| [item.entry.file.as_str(), item.inputs]);
+        .flat_map(|item| [item.planned.entry.file.as_str(), &item.planned.inputs]);
     let stem = format!("{}/{name}", name.table);
     Piece::new(plan_hash, number, stem, items.len() as u64, reads)
 }
@@ -137,9 +137,13 @@ impl Prepared {
             transaction.finish()?;
             let mut growth = fates.report(plan, &BTreeSet::new());
             growth.count(&self.labels(&fates));
+            let dataset = Dataset::open(&out)?;
+            let quarantine = dataset.read(None)?;
+            let skipped: Vec<SkippedRow> = dataset.read(None)?;
             IngestReport {
                 growth: Some(growth),
-                ..already_complete(&out, plan)?
+                already_complete: true,
+                ..report_on(dataset, plan, quarantine, &skipped)?
             }
         } else {
             let version = transaction.base().map_or(0, |base| base.version);
@@ -481,14 +485,8 @@ impl Run<'_> {
     /// What people rejected, in this dataset and in those that are sources of it.
     fn rejected_labels(&self, tables: &Files) -> Result<(RejectedMasks, RejectedPairs), Error> {
         let base = self.transaction.base();
-        let mut masks = base
-            .map(Manifest::rejected_masks)
-            .transpose()?
-            .unwrap_or_default();
-        let mut pairs = base
-            .map(Manifest::rejected_pairs)
-            .transpose()?
-            .unwrap_or_default();
+        let mut masks = base.map_or(Ok(RejectedMasks::new()), Manifest::rejected_masks)?;
+        let mut pairs = base.map_or(Ok(RejectedPairs::new()), Manifest::rejected_pairs)?;
         for (number, (_, release)) in self.plan.releases.iter().enumerate() {
             let (of_masks, of_pairs) = &release.contents().rejected_labels;
             if of_masks.is_empty() && of_pairs.is_empty() {
@@ -500,28 +498,17 @@ impl Run<'_> {
                 .map(|item| (item.entry.id.as_str(), item.id.as_str()))
                 .collect();
             let id = |old: &MotionId| MotionId::parse(ids.get(old.as_str())?).ok();
-            add_rejected(
-                &mut masks,
-                of_masks.iter().map(|(by, masks)| {
-                    let masks = masks.iter().filter_map(|one| {
-                        let clip = id(&one.clip)?;
-                        Some(RejectedMask {
-                            clip,
-                            ..one.clone()
-                        })
-                    });
-                    (by.clone(), masks.collect())
-                }),
-            );
-            add_rejected(
-                &mut pairs,
-                of_pairs.iter().map(|(by, pairs)| {
-                    let pairs = pairs
-                        .iter()
-                        .filter_map(|[source, target]| Some([id(source)?, id(target)?]));
-                    (by.clone(), pairs.collect())
-                }),
-            );
+            let now = |one: &RejectedMask| {
+                let (clip, one) = (id(&one.clip)?, one.clone());
+                Some(RejectedMask { clip, ..one })
+            };
+            let lists = of_masks.iter();
+            let lists = lists.map(|(by, list)| (by.clone(), list.iter().filter_map(now).collect()));
+            add_rejected(&mut masks, lists);
+            let now = |[source, target]: &[MotionId; 2]| Some([id(source)?, id(target)?]);
+            let lists = of_pairs.iter();
+            let lists = lists.map(|(by, list)| (by.clone(), list.iter().filter_map(now).collect()));
+            add_rejected(&mut pairs, lists);
         }
         masks.retain(|_, list| !list.is_empty());
         pairs.retain(|_, list| !list.is_empty());
@@ -582,6 +569,7 @@ impl Run<'_> {
         let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
         let licenses = license::count(self.transaction.root(), motions)?;
         let label_problems = self.label_problems(&tally);
+        let sources = plan.all_labels(&prepared.base.recorded);
         let mut facts = BTreeMap::from([
             (LICENSES_FACT.to_owned(), json(&licenses)),
             (LABEL_PROBLEMS_FACT.to_owned(), json(&label_problems)),
@@ -591,10 +579,7 @@ impl Run<'_> {
             ("files".to_owned(), plan.files.len().to_string()),
             ("dropped_pairs".to_owned(), pairs.dropped.to_string()),
             (SETTINGS_FACT.to_owned(), prepared.settings.text()),
-            (
-                SOURCES_FACT.to_owned(),
-                plan.all_sources(&prepared.base.recorded),
-            ),
+            (SOURCES_FACT.to_owned(), json(&sources)),
         ]);
         let (masks, rejected_pairs) = self.rejected_labels(&tables)?;
         if !masks.is_empty() {
@@ -619,28 +604,15 @@ impl Run<'_> {
             tables,
             plan_hash: self.plan_hash,
             skeleton: options.read.skeleton.clone(),
-            accounting: Some(accounting.clone()),
+            accounting: Some(accounting),
             facts,
             fresh: true,
             carried,
             ..Commit::default()
         })?;
         Ok(IngestReport {
-            dataset,
-            accounting,
-            files: plan.files.len() as u64,
-            dropped_pairs: pairs.dropped,
-            refused_pairs: pairs.refused,
-            remarks: plan.all_remarks(),
-            refused_splits: plan.notes.refused_splits.clone(),
-            label_problems,
-            licenses,
-            skipped: counted(&tally.skipped),
-            quarantine: tally.quarantine,
             resumed_shards: tally.resumed_shards,
-            already_complete: false,
-            alike: Vec::new(),
-            growth: None,
+            ..report_on(dataset, plan, tally.quarantine, &tally.skipped)?
         })
     }
 }

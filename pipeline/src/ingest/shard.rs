@@ -47,10 +47,10 @@ impl ShardNotes {
     /// Notes of a piece that failed as a whole: each of its items is rejected.
     pub(super) fn failed(plan: &Plan, items: &[Item], code: &str, reason: &str) -> Self {
         let rows = items.iter().map(|item| QuarantineRow {
-            path: path_of(&item.entry.file, &item.entry.key),
+            path: path_of(&item.planned.entry.file, &item.planned.entry.key),
             source_name: item.source_name.to_owned(),
-            source_hash: source_hash(&plan.sources, &item.entry.file).to_owned(),
-            inputs_hash: item.inputs.to_owned(),
+            source_hash: source_hash(&plan.sources, &item.planned.entry.file).to_owned(),
+            inputs_hash: item.planned.inputs.clone(),
             code: code.to_owned(),
             reason: reason.to_owned(),
             byte_offset: None,
@@ -108,27 +108,23 @@ impl Plan {
                         }
                     }
                     let masks = masks.into_iter();
-                    notes
-                        .masks
-                        .extend(masks.map(|mask| mask_row(mask, item, &motion.id)));
+                    let masks = masks.map(|mask| mask_row(mask, item, &motion.id));
+                    notes.masks.extend(masks);
                     marker_rows.extend(markers);
                     feature_rows.extend(features);
                     rows.push(motion);
                 }
                 Done::Skipped(reason) => {
-                    let Entry { file, key, .. } = item.entry;
-                    let row = self.skipped_row(file, key, item.inputs, reason);
+                    let Entry { file, key, .. } = &item.planned.entry;
+                    let row = self.skipped_row(file, key, &item.planned.inputs, reason);
                     notes.skipped.push(row);
                 }
                 Done::Rejected(rejection) => notes.quarantine.push(rejection),
             }
         }
-        notes
-            .beside
-            .extend(write_beside(staging, name, &marker_rows, facts)?);
-        notes
-            .beside
-            .extend(write_beside(staging, name, &feature_rows, facts)?);
+        let beside = &mut notes.beside;
+        beside.extend(write_beside(staging, name, &marker_rows, facts)?);
+        beside.extend(write_beside(staging, name, &feature_rows, facts)?);
         let entry = staging.write_shard(name, &rows, facts)?;
         Ok((entry, notes))
     }
@@ -150,9 +146,9 @@ impl Plan {
     fn ingest_item(&self, item: &Item, options: &IngestOptions) -> Done {
         let read = guarded(|| self.read_checked(item, options));
         read.unwrap_or_else(|rejected| {
-            let Entry { file, key, .. } = item.entry;
+            let Entry { file, key, .. } = &item.planned.entry;
             Done::Rejected(QuarantineRow {
-                inputs_hash: item.inputs.to_owned(),
+                inputs_hash: item.planned.inputs.clone(),
                 ..self.rejected_row(file, key, rejected)
             })
         })
@@ -163,12 +159,12 @@ impl Plan {
             .id
             .clone()
             .map_err(|reason| Rejected::read("E-PATH", reason))?;
-        let entry = item.entry;
+        let entry = &item.planned.entry;
         let source_hash = self
-            .motion_hash(item.release, entry)
+            .motion_hash(item.planned.release, entry)
             .map_err(|reason| Rejected::read("E-IO", reason))?;
         let around = self.folder_labels.of(&self.files, entry);
-        let outcome = match item.release {
+        let outcome = match item.planned.release {
             Some(release) => self.releases[release]
                 .1
                 .read(&self.files, entry, &options.read)
@@ -181,7 +177,7 @@ impl Plan {
             Outcome::Skipped { reason } => return Ok(Done::Skipped(reason)),
             Outcome::Rejected(rejected) => return Err(rejected),
         };
-        clip.check_masks(&item.entry.file);
+        clip.check_masks(&item.planned.entry.file);
         let problems = std::mem::take(&mut clip.label_problems);
         let rows = clip_rows(clip, id, item, source_hash, options)?;
         Ok(Done::Clip(Box::new(rows), problems))
@@ -189,7 +185,7 @@ impl Plan {
 
     fn read_file(&self, item: &Item, around: &ClipLabels, options: &IngestOptions) -> Outcome {
         let failure = Cell::new(None);
-        let companions = companions(&self.files, &item.entry.file, &failure);
+        let companions = companions(&self.files, &item.planned.entry.file, &failure);
         let outcome = self.read_content(item, &companions, around, &options.read);
         let outcome = outcome.unwrap_or_else(Outcome::Rejected);
         failure.take().map_or(outcome, Outcome::Rejected)
@@ -202,21 +198,21 @@ impl Plan {
         around: &ClipLabels,
         options: &ReadOptions,
     ) -> Result<Outcome, Rejected> {
-        let Entry { file, key, .. } = item.entry;
+        let Entry { file, key, .. } = &item.planned.entry;
         let path = Path::new(file);
         let length = bounded_length(&self.files, file)?;
         if length > LARGE_LEN
-            && let Some(rejected) = (item.format.refuse_large)(self.files.open_at(file)?)
+            && let Some(rejected) = (item.planned.format.refuse_large)(self.files.open_at(file)?)
         {
             return Err(rejected);
         }
         let mut opened = self.files.open(file)?;
-        if let Some(outcome) = (item.format.read_in_pieces)(&mut *opened, length, options) {
+        if let Some(outcome) = (item.planned.format.read_in_pieces)(&mut *opened, length, options) {
             return Ok(label(outcome, path, companions, around));
         }
         let bytes = self.files.read(file)?;
         Ok(read_clip(
-            item.format,
+            item.planned.format,
             path,
             key,
             &bytes,

@@ -1,6 +1,5 @@
 //! Grouping of clips that share a drawn split.
 
-use std::fmt;
 use std::str::FromStr;
 
 use datasets_spec::manifest::{Manifest, SPLIT_BY_FACT};
@@ -8,22 +7,22 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::{Deserialize, Serialize};
 
-/// Grouping of clips that share a drawn split.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum SplitBy {
-    /// Clips cut from one source clip, and styles of one take.
-    #[default]
-    Clip,
-    /// All clips of a subject of a source.
-    Subject,
-    /// All clips of an action, in any source.
-    Action,
+datasets_spec::named! {
+    /// Grouping of clips that share a drawn split.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum SplitBy, named by as_str {
+        /// Clips cut from one source clip, and styles of one take.
+        #[default]
+        Clip = "clip",
+        /// All clips of a subject of a source.
+        Subject = "subject",
+        /// All clips of an action, in any source.
+        Action = "action",
+    }
 }
 
 impl SplitBy {
-    const ALL: [Self; 3] = [Self::Clip, Self::Subject, Self::Action];
-
     /// Grouping of an existing dataset; `None` for a new one.
     pub(super) fn recorded(base: Option<&Manifest>) -> Option<Self> {
         let base = base.filter(|base| base.plans.contains_key(MotionRow::TABLE))?;
@@ -36,17 +35,10 @@ impl FromStr for SplitBy {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|by| by.to_string() == name);
-        found.ok_or_else(|| {
-            let known = Self::ALL.map(|by| by.to_string()).join(", ");
+        Self::of_name(name).ok_or_else(|| {
+            let known = Self::ALL.map(Self::as_str).join(", ");
             format!("{name:?} is none of {known}")
         })
-    }
-}
-
-impl fmt::Display for SplitBy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&format!("{self:?}").to_lowercase())
     }
 }
 

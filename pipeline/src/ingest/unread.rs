@@ -10,7 +10,7 @@ use formats::source::labels::names_beside;
 use formats::source::{Entry, Recognised, recognise};
 
 use super::identity::key_of;
-use super::inputs;
+use super::inputs::{self, folder_of};
 use super::list::{Source, labelled, path_of};
 use super::plan::Plan;
 use super::recorded::Recorded;
@@ -319,10 +319,7 @@ impl Plan {
             let Some(Source { of, .. }) = self.sources.get(file) else {
                 continue;
             };
-            let folders = std::iter::successors(Some(folder_of(file)), |folder| {
-                (!folder.is_empty()).then(|| folder_of(folder))
-            });
-            let mut found = folders
+            let mut found = inputs::above(folder_of(file))
                 .filter_map(|folder| unread.get(&(*of, folder)))
                 .flatten()
                 .peekable();
@@ -338,9 +335,4 @@ impl Plan {
             )
         })
     }
-}
-
-/// The folder of a file; empty at the top.
-fn folder_of(file: &str) -> &str {
-    file.rsplit_once('/').map_or("", |(folder, _)| folder)
 }

@@ -20,27 +20,18 @@ pub(super) fn rejected(parts: &[&Part<'_>; 2]) -> Result<(RejectedPairs, Rejecte
     let (mut all_pairs, mut all_masks) = (RejectedPairs::new(), RejectedMasks::new());
     for part in parts {
         let manifest = part.dataset.manifest();
-        let renamed = manifest
-            .rejected_pairs()?
-            .into_iter()
-            .map(|(project, pairs)| {
-                let pairs = pairs
-                    .iter()
-                    .map(|clips| clips.each_ref().map(|id| part.id(id)));
-                (project, pairs.collect())
-            });
-        add_rejected(&mut all_pairs, renamed);
-        let renamed = manifest
-            .rejected_masks()?
-            .into_iter()
-            .map(|(project, masks)| {
-                let masks = masks.into_iter().map(|rejected| RejectedMask {
-                    clip: part.id(&rejected.clip),
-                    ..rejected
-                });
-                (project, masks.collect())
-            });
-        add_rejected(&mut all_masks, renamed);
+        let renamed = |clips: &[MotionId; 2]| clips.each_ref().map(|id| part.id(id));
+        let pairs = manifest.rejected_pairs()?.into_iter();
+        let pairs = pairs.map(|(project, pairs)| (project, pairs.iter().map(renamed).collect()));
+        add_rejected(&mut all_pairs, pairs);
+        let renamed = |rejected: RejectedMask| RejectedMask {
+            clip: part.id(&rejected.clip),
+            ..rejected
+        };
+        let masks = manifest.rejected_masks()?.into_iter();
+        let masks =
+            masks.map(|(project, masks)| (project, masks.into_iter().map(renamed).collect()));
+        add_rejected(&mut all_masks, masks);
     }
     Ok((all_pairs, all_masks))
 }
@@ -53,8 +44,8 @@ pub(super) struct MergedLabels {
     pub(super) parted: Vec<String>,
     pub(super) rejected: BTreeSet<String>,
     pub(super) gave_way: BTreeMap<String, u64>,
-    /// New ids of labels of the second dataset, by their old ids, under which the first has another label.
-    pub(super) renamed: BTreeMap<String, String>,
+    /// New ids of labels of the second dataset, by table and by their old ids, under which the first has another label.
+    pub(super) renamed: BTreeMap<&'static str, BTreeMap<String, String>>,
 }
 
 impl MergedLabels {
@@ -64,11 +55,9 @@ impl MergedLabels {
             format!("; {count} automatic {table} gave way to those of the other dataset")
         });
         let mut text: String = gave_way.collect();
-        if !self.renamed.is_empty() {
-            text += &format!(
-                "; {} labels of the second dataset got another id",
-                self.renamed.len()
-            );
+        let renamed: usize = self.renamed.values().map(BTreeMap::len).sum();
+        if renamed > 0 {
+            text += &format!("; {renamed} labels of the second dataset got another id");
         }
         if !self.rejected.is_empty() {
             text += &format!(
@@ -142,13 +131,15 @@ pub(super) fn labels(
                 _ => masked.replaces(number, &parts_of(mask)),
             }
     };
-    let (table, renamed) = (&mut labels.rows.masks, &mut labels.renamed);
+    let renamed = labels.renamed.entry(MaskRow::TABLE).or_default();
+    let table = &mut labels.rows.masks;
     let masks = take(table, parts, masks, |mask| &mut mask.id, gives_way, renamed);
     let paired = Labelled::of(&pairs, clips_of, is_pair_of_people);
     let gives_way = |number: usize, pair: &PairRow| {
         is_from_labels(pair) && paired.replaces(number, &clips_of(pair))
     };
-    let (table, renamed) = (&mut labels.rows.pairs, &mut labels.renamed);
+    let renamed = labels.renamed.entry(PairRow::TABLE).or_default();
+    let table = &mut labels.rows.pairs;
     let pairs = take(table, parts, pairs, |pair| &mut pair.id, gives_way, renamed);
     let counts = [(MaskRow::TABLE, masks), (PairRow::TABLE, pairs)].into_iter();
     labels.gave_way = counts

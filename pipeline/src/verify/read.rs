@@ -73,7 +73,6 @@ impl Named {
 struct Label<'a> {
     id: &'a str,
     split: Split,
-    motions: Vec<&'a MotionId>,
     /// Minimum number of frames of the motions.
     frames: i32,
     usable: Result<(), compose::Error>,
@@ -105,14 +104,12 @@ impl Read {
             MaskRow::TABLE => read.labels_of(&path, file, |row: &MaskRow| Label {
                 id: &row.id,
                 split: row.split,
-                motions: vec![&row.motion_id],
                 frames: row.end.unwrap_or(0),
                 usable: check_mask(row),
             }),
             PairRow::TABLE => read.labels_of(&path, file, |row: &PairRow| Label {
                 id: &row.id,
                 split: row.split,
-                motions: vec![&row.source_id, &row.target_id],
                 frames: 0,
                 usable: check_pair(row),
             }),
@@ -180,15 +177,10 @@ impl Read {
         label: impl Fn(&R) -> Label<'_>,
     ) -> Result<(), String> {
         for row in &self.decoded::<R>(path, file)? {
-            let Label {
-                id,
-                split,
-                motions,
-                frames,
-                usable,
-            } = label(row);
+            let label = label(row);
+            let (id, split) = (label.id, label.split);
             let item = format!("{id} of {}", R::TABLE);
-            if let Err(error) = usable {
+            if let Err(error) = label.usable {
                 let cause = std::error::Error::source(&error);
                 let cause = cause.map_or(String::new(), |cause| format!(": {cause}"));
                 self.find(Check::Contents, &item, format!("{error}{cause}"));
@@ -198,13 +190,14 @@ impl Read {
                 self.find(Check::Splits, &item, problem);
             }
             self.labels.push((R::TABLE, id.to_owned(), split));
-            self.named.extend(motions.into_iter().map(|motion| Named {
-                table: R::TABLE,
-                row: id.to_owned(),
-                motion: motion.to_string(),
-                split,
-                frames,
-            }));
+            self.named
+                .extend(row.clips().into_iter().map(|motion| Named {
+                    table: R::TABLE,
+                    row: id.to_owned(),
+                    motion: motion.to_string(),
+                    split,
+                    frames: label.frames,
+                }));
         }
         Ok(())
     }
@@ -327,18 +320,13 @@ impl Read {
 fn check_file(root: &Path, file: &FileEntry) -> Result<(), String> {
     let path = root.join(&file.path);
     let size = ByPath.size(&path).map_err(|error| error.to_string())?;
-    if size != file.bytes {
-        return Err(format!(
-            "has {size} bytes, the manifest says {}",
-            file.bytes
-        ));
+    let FileEntry { bytes, blake3, .. } = file;
+    if size != *bytes {
+        return Err(format!("has {size} bytes, the manifest says {bytes}"));
     }
     let hash = ByPath.hash(&path).map_err(|error| error.to_string())?;
-    if hash != file.blake3 {
-        return Err(format!(
-            "BLAKE3 is {hash}, the manifest says {}",
-            file.blake3
-        ));
+    match hash == *blake3 {
+        true => Ok(()),
+        false => Err(format!("BLAKE3 is {hash}, the manifest says {blake3}")),
     }
-    Ok(())
 }

@@ -137,8 +137,8 @@ fn without(
     let mut labels = before.clone();
     let mut gone = Vec::new();
     let mut dropped: BTreeMap<String, u64> = BTreeMap::new();
-    let mut leaves = |table: &str, id: &str, clips: &[&MotionId], of_people: bool| {
-        let Some(clip) = clips.iter().find(|clip| chosen.contains(**clip)) else {
+    let mut leaves = |table: &str, id: &str, clips: Vec<&MotionId>, of_people: bool| {
+        let Some(clip) = clips.into_iter().find(|clip| chosen.contains(*clip)) else {
             return false;
         };
         match of_people {
@@ -150,18 +150,12 @@ fn without(
         }
         true
     };
-    labels.masks.retain(|id, mask| {
-        !leaves(
-            MaskRow::TABLE,
-            id,
-            &[&mask.motion_id],
-            is_mask_of_people(mask),
-        )
-    });
-    labels.pairs.retain(|id, pair| {
-        let clips = [&pair.source_id, &pair.target_id];
-        !leaves(PairRow::TABLE, id, &clips, is_pair_of_people(pair))
-    });
+    labels
+        .masks
+        .retain(|id, mask| !leaves(MaskRow::TABLE, id, mask.clips(), is_mask_of_people(mask)));
+    labels
+        .pairs
+        .retain(|id, pair| !leaves(PairRow::TABLE, id, pair.clips(), is_pair_of_people(pair)));
     (labels, gone, dropped)
 }
 
@@ -226,13 +220,8 @@ impl Shards {
                 };
                 let stays = |id: &MotionId| (!chosen.contains(id)).then_some("");
                 let facts = ShardReader::open(&transaction.root().join(&file.path))?.facts();
-                entries.extend(rewrite(
-                    transaction,
-                    &name,
-                    file,
-                    &borrowed(&facts),
-                    &stays,
-                )?);
+                let facts = borrowed(&facts);
+                entries.extend(rewrite(transaction, &name, file, &facts, &stays)?);
             }
             *next.entry(*split).or_default() += usize::from(broken);
         }

@@ -99,19 +99,16 @@ pub fn restore(
     // What people accepted in the newest version was accepted after any rejection of it.
     let is_rejected = |pair: &PairRow| {
         let clips = |pair: &PairRow| [pair.source_id.clone(), pair.target_id.clone()];
-        let held = current.pairs.get(&pair.id);
-        let is_accepted =
-            held.is_some_and(|held| is_pair_judged(held) && clips(held) == clips(pair));
+        let mut held = current.pairs.get(&pair.id).into_iter();
+        let is_accepted = held.any(|held| is_pair_judged(held) && clips(held) == clips(pair));
         !is_accepted && rejected.contains(&clips(pair))
     };
     let rejected = labels.pairs.extract_if(.., |_, pair| is_rejected(pair));
     let mut rejected: Vec<String> = rejected.map(|(id, _)| id).collect();
     let rejections = old.rejections(&now.manifest().rejected_masks()?)?;
     let place = |mask: &MaskRow| (mask.motion_id.clone(), MaskPlace::of(mask));
-    let accepted = current
-        .masks
-        .values()
-        .filter(|mask| is_mask_of_people(mask));
+    let accepted = current.masks.values();
+    let accepted = accepted.filter(|mask| is_mask_of_people(mask));
     let accepted: BTreeSet<(MotionId, MaskPlace)> = accepted.map(place).collect();
     let is_rejected = |mask: &MaskRow| rejections.has(mask) && !accepted.contains(&place(mask));
     let masks = labels.masks.extract_if(.., |_, mask| is_rejected(mask));
@@ -129,10 +126,8 @@ pub fn restore(
         transaction.finish()?;
         now
     } else {
-        let plan = plan_hash(
-            "restore",
-            &(&old.manifest().root_hash, &labels.masks, &labels.pairs),
-        );
+        let made_of = (&old.manifest().root_hash, &labels.masks, &labels.pairs);
+        let plan = plan_hash("restore", &made_of);
         let tables = labels.write(&before, &transaction, &old.skeleton()?, &plan)?;
         transaction.restore(old.manifest(), tables, &plan)?
     };

@@ -2,11 +2,10 @@
 
 use std::fs;
 use std::path::Path;
-use std::sync::Arc;
 
 use datasets_spec::{Fps, Motion, Pose};
 use glam::{DQuat, DVec3};
-use pickle::{Array, Value, encode};
+use pickle::{Value, encode};
 
 use crate::{npy, npy_f8};
 
@@ -30,8 +29,8 @@ pub fn swinging(seed: usize, frames: usize) -> Motion {
 pub fn dictionary(motion: &Motion) -> Value {
     let column = |key: &str, numbers: &[f32]| {
         let shape = [motion.len(), numbers.len() / motion.len()];
-        let array = Array::from_f32(&shape, numbers.iter().copied());
-        (Value::text(key), Value::Array(Arc::new(array)))
+        let array = Value::floats(&shape, numbers.iter().copied());
+        (Value::text(key), array)
     };
     Value::Dict(vec![
         column("body_pose", motion.body_pose().as_flattened()),

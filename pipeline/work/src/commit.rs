@@ -49,10 +49,8 @@ fn found(plan: &Plan) -> Result<Vec<(&Piece, Found)>, Error> {
         .map(|piece| {
             if let Some(stored) = staged(&staging, &piece.id)? {
                 let (files, notes) = (stored.record.files, stored.notes);
-                return Ok((
-                    piece,
-                    Found::Done(Made { files, notes }, stored.record.secs),
-                ));
+                let done = Found::Done(Made { files, notes }, stored.record.secs);
+                return Ok((piece, done));
             }
             let failed = staging.get::<Record>(&failed_name(&piece.id));
             Ok((piece, failed.map_or(Found::Missing, Found::Failed)))
@@ -208,15 +206,11 @@ impl Quarantine {
             pieces: pieces.len() as u64,
         };
         let mut made = Vec::new();
-        for Finished {
-            piece,
-            made: result,
-        } in pieces
-        {
-            match result {
-                Ok(result) => made.push((piece, result)),
+        for finished in pieces {
+            match finished.made {
+                Ok(result) => made.push((finished.piece, result)),
                 Err(Failed { code, reason }) => quarantine.rows.push(QuarantineRow {
-                    path: piece.name,
+                    path: finished.piece.name,
                     source_name: String::new(),
                     source_hash: String::new(),
                     inputs_hash: String::new(),
@@ -246,17 +240,8 @@ impl Quarantine {
         }
         let files = transaction.write_shards(None, &self.rows, facts)?;
         tables.insert(QuarantineRow::TABLE.to_owned(), files);
-        let mut codes = BTreeMap::new();
-        for row in &self.rows {
-            *codes.entry(row.code.clone()).or_default() += 1;
-        }
-        let quarantined = self.rows.len() as u64;
-        Ok(Some(Accounting {
-            sources: self.pieces,
-            ingested: self.pieces - quarantined,
-            quarantined,
-            skipped: 0,
-            codes,
-        }))
+        let ingested = self.pieces - self.rows.len() as u64;
+        let codes = self.rows.iter().map(|row| row.code.clone());
+        Ok(Some(Accounting::of(ingested, 0, codes)))
     }
 }

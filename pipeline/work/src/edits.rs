@@ -49,15 +49,11 @@ pub fn commit_edits_in(
     make_room(&transaction, items, edits)?;
     let item_split: fn(&ItemRow) -> Split = |row| row.split;
     let edit_split: fn(&EditRow) -> Split = |row| row.split;
+    let items = transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?;
+    let edits = transaction.write_rows(edits, Some(edit_split), skeleton, plan_hash)?;
     let mut tables = BTreeMap::from([
-        (
-            ItemRow::TABLE.to_owned(),
-            transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?,
-        ),
-        (
-            EditRow::TABLE.to_owned(),
-            transaction.write_rows(edits, Some(edit_split), skeleton, plan_hash)?,
-        ),
+        (ItemRow::TABLE.to_owned(), items),
+        (EditRow::TABLE.to_owned(), edits),
     ]);
     let facts = table_facts(skeleton, plan_hash);
     let accounting = quarantine.write(&transaction, &mut tables, &facts)?;
@@ -134,10 +130,7 @@ pub fn check_room(
     let systems = texts::<EditRow>(held, "system")?;
     if systems.is_empty() {
         let asked = items.iter().map(|item| item.id.as_str());
-        let is_same = ids
-            .iter()
-            .map(String::as_str)
-            .eq(BTreeSet::from_iter(asked));
+        let is_same = ids.iter().eq(BTreeSet::from_iter(asked));
         return match ids.len() {
             count if count > 0 && !is_same => refused(format!("{count} other items")),
             _ => Ok(()),
@@ -167,12 +160,10 @@ pub fn refuse_items(held: &Dataset) -> Result<(), Error> {
     if systems.is_empty() {
         return Ok(());
     }
+    let systems = Vec::from_iter(systems).join(", ");
     Err(Error::Held {
         path: held.root().to_owned(),
-        held: format!(
-            "the items of the edits of {}",
-            Vec::from_iter(systems).join(", ")
-        ),
+        held: format!("the items of the edits of {systems}"),
         made: "other items".to_owned(),
     })
 }

@@ -95,17 +95,7 @@ pub enum Error {
         /// What failed, and what to do.
         reason: String,
     },
-    /// A path cannot be listed or read.
-    #[error("cannot {action} {}", path.display())]
-    Io {
-        /// What was tried, as a verb.
-        action: &'static str,
-        /// The path.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// The dataset could not be read or written.
+    /// The dataset, or another file or folder, could not be read or written.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
 }
@@ -115,7 +105,6 @@ impl Error {
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),
-            Self::Io { path, .. } => ("E-IO", path),
             Self::Occupied { path } | Self::Held { path, .. } => ("E-OCCUPIED", path),
             Self::BadPlan { path, .. } => ("E-PLAN", path),
             Self::SourceChanged { path } => ("E-SOURCE-CHANGED", path),
@@ -132,11 +121,7 @@ impl Error {
         action: &'static str,
         path: impl Into<PathBuf>,
     ) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io {
-            action,
-            path,
-            source,
-        }
+        let failed = datasets_spec::Error::io(action, path);
+        move |source| Self::Spec(failed(source))
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use datasets_spec::Digest;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -37,18 +38,14 @@ impl Piece {
         items: u64,
         reads: impl Iterator<Item = &'a str>,
     ) -> Self {
-        let mut hasher = blake3::Hasher::new();
         let number = number as u64;
-        let mut take = |part: &str| {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        };
-        take(plan_hash);
-        take(&number.to_string());
-        take(&name);
-        reads.for_each(take);
+        let mut digest = Digest::default();
+        digest.part(plan_hash);
+        digest.part(&number.to_string());
+        digest.part(&name);
+        reads.for_each(|read| digest.part(read));
         Self {
-            id: hasher.finalize().to_hex()[..ID_DIGITS].to_owned(),
+            id: digest.hex()[..ID_DIGITS].to_owned(),
             number,
             name,
             items,

@@ -87,19 +87,12 @@ impl Draft {
     ) -> Result<Plan, Error> {
         let destination = absolute(&self.destination)?;
         if is_occupied(out) {
-            match Plan::open(out) {
-                Ok(plan)
-                    if plan.header.plan_hash == self.plan_hash
-                        && plan.header.destination == destination =>
-                {
-                    return Ok(plan);
-                }
-                _ => {
-                    return Err(Error::Occupied {
-                        path: out.to_owned(),
-                    });
-                }
-            }
+            let is_same =
+                |plan: &Plan| plan.hash() == self.plan_hash && plan.destination() == destination;
+            let same = Plan::open(out).ok().filter(is_same);
+            return same.ok_or_else(|| Error::Occupied {
+                path: out.to_owned(),
+            });
         }
         let folder = NewFolder::beside(&absolute(out)?)?;
         tables(folder.path())?;
@@ -142,12 +135,8 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
 /// Reads a document of a plan.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
     let text = fs::read(path).map_err(Error::io("read", path))?;
-    serde_json::from_slice(&text).map_err(|source| {
-        Error::Spec(datasets_spec::Error::Json {
-            path: path.to_owned(),
-            source,
-        })
-    })
+    let parsed = serde_json::from_slice(&text);
+    Ok(parsed.map_err(datasets_spec::Error::json(path))?)
 }
 
 /// BLAKE3 of a file, hexadecimal.

@@ -5,6 +5,7 @@ use std::path::Path;
 use annotate::store::Store;
 use annotate::wire::{CaptureCell, Captures, PlannedCapture};
 use anyhow::{Context, bail};
+use eval::format::csv::line;
 use formats::csv_lines;
 use serde_json::json;
 
@@ -113,21 +114,21 @@ fn cell(fields: &[&str]) -> anyhow::Result<PlannedCapture> {
 }
 
 fn plan_lines(cells: &[CaptureCell]) -> String {
-    let mut lines = vec![HEAD.join(",")];
-    lines.extend(cells.iter().map(|cell| {
+    let mut text = line(&HEAD);
+    for cell in cells {
         let takes = cell.takes.to_string();
-        csv_lines::line(&[&cell.motion, &cell.style, &takes])
-    }));
-    lines.join("\n")
+        text += &line(&[&cell.motion, &cell.style, &takes]);
+    }
+    text.trim_end_matches('\n').to_owned()
 }
 
 fn missing_lines(cells: &[CaptureCell]) -> String {
-    let mut lines = vec![format!("{},note", HEAD.join(","))];
-    lines.extend(cells.iter().map(|cell| {
+    let mut text = format!("{},note\n", HEAD.join(","));
+    for cell in cells {
         let missing = cell.missing.to_string();
-        csv_lines::line(&[&cell.motion, &cell.style, &missing, &notes(cell).join("; ")])
-    }));
-    lines.join("\n")
+        text += &line(&[&cell.motion, &cell.style, &missing, &notes(cell).join("; ")]);
+    }
+    text.trim_end_matches('\n').to_owned()
 }
 
 fn summary(captures: &Captures) -> String {

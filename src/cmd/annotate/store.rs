@@ -108,11 +108,7 @@ fn create_parent(file: &Path) -> anyhow::Result<()> {
 
 #[cfg(feature = "postgres")]
 fn open_postgres(url: &str, may_create: bool) -> anyhow::Result<Arc<Store>> {
-    const SCHEMA: &str = "annotate";
-    Ok(match may_create {
-        true => store::open_postgres(url, SCHEMA)?,
-        false => store::open_existing_postgres(url, SCHEMA)?,
-    })
+    Ok(store::open_postgres(url, "annotate", may_create)?)
 }
 
 #[cfg(not(feature = "postgres"))]

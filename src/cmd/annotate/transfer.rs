@@ -122,7 +122,7 @@ pub(super) fn export(
 ) -> anyhow::Result<Exit> {
     let folder = to.map_or_else(|| args.folder().join("exports"), Path::to_owned);
     let done = transfer::export(store, &args.dataset, &folder, selection, &global.holder())?;
-    annotate::log_export(store, None, selection.format, &done, now())?;
+    store.log_export(None, done.entry(selection.format), now())?;
     let mut lines = lines_of(&done.counts, &done.messages);
     if !done.files.is_empty() {
         lines.push(format!("{} in {}", done.files.join(", "), folder.display()));

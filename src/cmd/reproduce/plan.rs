@@ -204,13 +204,8 @@ pub(super) struct Spec {
 
 impl Spec {
     pub(super) fn trainings(&self) -> impl Iterator<Item = &Training> {
-        [
-            Some(&self.training),
-            self.coordinator.as_ref(),
-            self.poses.as_ref(),
-        ]
-        .into_iter()
-        .flatten()
+        let helpers = self.coordinator.iter().chain(&self.poses);
+        std::iter::once(&self.training).chain(helpers)
     }
 
     pub(super) fn slot(&self) -> Slot {
@@ -444,11 +439,9 @@ impl Plan {
             let base = Value::Object(base.cloned().unwrap_or_default());
             Ok(overlay(&base, &Value::Object(own.clone()))?)
         };
+        let of_model = self.models.get(&system.model);
         Ok(BTreeMap::from([
-            (
-                "train",
-                over(self.models.get(&system.model), &system.train)?,
-            ),
+            ("train", over(of_model, &system.train)?),
             ("compose", over(Some(&self.compose), &system.compose)?),
             ("edit", over(Some(&self.edit), &system.edit)?),
         ]))
@@ -464,7 +457,7 @@ impl Plan {
         global: &Global,
     ) -> anyhow::Result<Vec<Spec>> {
         let seeds = system.train_seeds.as_ref().unwrap_or(&self.train_seeds);
-        let is_given = global.given_seed().is_some() || sections["train"].get("seed").is_some();
+        let is_given = global.seed.is_some() || sections["train"].get("seed").is_some();
         if is_given || seeds.is_empty() {
             return Ok(vec![self.spec(system, sections, None, epoch, global)?]);
         }
@@ -563,7 +556,7 @@ impl Plan {
         let compose = &TrainConfig::compose_preset(self.preset);
         let seed = match (seed, has_seed) {
             (Some(seed), _) => Some(seed),
-            (None, true) => global.given_seed(),
+            (None, true) => global.seed,
             (None, false) => Some(global.seed_or(self.seeds.train).0),
         };
         Ok(Training {

@@ -61,7 +61,8 @@ impl<'a> Work<'a> {
         let items = plan.out.join("items");
         let seed = global.seed_or(plan.seeds.items);
         let drawn = stages::items(&dataset, &items, plan.split, &plan.items, seed, global)
-            .context("items")?;
+            .context("items")?
+            .dataset;
         let mut work = Self {
             plan,
             global,

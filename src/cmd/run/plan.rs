@@ -199,33 +199,27 @@ fn guiding(
     of_preset: &CoordinatorConfig,
     own: &Map<String, Value>,
 ) -> anyhow::Result<Map<String, Value>> {
-    let diffusion = &editor.diffusion;
-    let pairs = [
-        ("window", json!(editor.window), json!(of_preset.window)),
-        (
-            "keypoints",
-            json!(editor.keypoints),
-            json!(of_preset.keypoints),
-        ),
-        (
-            "schedule",
-            json!(diffusion.schedule),
-            json!(of_preset.schedule),
-        ),
-        (
-            "diffusion_steps",
-            json!(diffusion.num_steps),
-            json!(of_preset.diffusion_steps),
-        ),
-    ];
+    let of_editor = json!({
+        "window": editor.window,
+        "keypoints": editor.keypoints,
+        "schedule": editor.diffusion.schedule,
+        "diffusion_steps": editor.diffusion.num_steps,
+    });
+    let of_preset = json!({
+        "window": of_preset.window,
+        "keypoints": of_preset.keypoints,
+        "schedule": of_preset.schedule,
+        "diffusion_steps": of_preset.diffusion_steps,
+    });
     let mut all = own.clone();
-    for (key, of_editor, of_preset) in pairs {
+    for key in ["window", "keypoints", "schedule", "diffusion_steps"] {
+        let of_editor = &of_editor[key];
         match own.get(key) {
-            Some(given) if *given != of_editor => bail!(
+            Some(given) if given != of_editor => bail!(
                 "coordinator.{key} is {given}, and the editor that it guides has {of_editor}; leave it out"
             ),
-            None if of_editor != of_preset => {
-                all.insert(key.to_owned(), of_editor);
+            None if *of_editor != of_preset[key] => {
+                all.insert(key.to_owned(), of_editor.clone());
             }
             _ => {}
         }

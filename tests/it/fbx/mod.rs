@@ -8,9 +8,9 @@ use datasets_spec::{Joint, Pose, Skeleton};
 use glam::{DQuat, DVec3, EulerRot};
 
 use self::file::{Record, Value, ascii, binary, group, leaf, property, record, text, vector};
-use crate::formats::{all_in_train, assert_shows, ingested, inspected, place, put, walk};
+use crate::formats::{all_in_train, assert_shows, ingested, inspected, walk};
 use crate::util::{
-    arg, assert_counted, assert_quarantined, assert_tells, motions_of, skipped_of, stance, typed,
+    Folder, assert_counted, assert_quarantined, assert_tells, motions_of, skipped_of,
 };
 
 /// Ticks of FBX's clock per second.
@@ -304,7 +304,7 @@ impl Scene {
 
 #[test]
 fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(40, 30.0);
     let takes: [Take<'_>; 1] = [("mixamo.com", &poses)];
     let scenes = [
@@ -319,12 +319,13 @@ fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
     ];
     for (name, scene) in &scenes {
         let records = scene.records(&takes);
-        put(&source, &format!("{name}.fbx"), binary(&records));
-        put(&source, &format!("text/{name}.fbx"), ascii(&records));
+        dir.put(&format!("source/{name}.fbx"), binary(&records));
+        dir.put(&format!("source/text/{name}.fbx"), ascii(&records));
     }
-    let splits = all_in_train(dir.path());
-    let more = ["--fps", "native", "--splits", arg(&splits)];
-    let (_, out) = ingested(&source, &more, &[2 * scenes.len() as u64]);
+    let splits = all_in_train(&dir);
+    let count = 2 * scenes.len() as u64;
+    let more = format!("--fps native {splits}");
+    let (_, out) = ingested(&dir, "source", &more, &[count]);
     // The clip of a file with one take has the id of the file, whatever the take is called.
     let rows = motions_of(&out);
     for (name, _) in &scenes {
@@ -349,17 +350,17 @@ fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
 
 #[test]
 fn every_take_is_a_clip_of_one_split() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let [walks, runs, jogs] = [walk(40, 30.0), walk(50, 20.0), walk(45, 24.0)];
     let scene = scene(|s| s.fps = 60.0);
     let takes: [Take<'_>; 3] = [("Walk", &walks), ("Run", &runs), ("Take 001", &[])];
-    put(&source, "all.fbx", binary(&scene.records(&takes)));
+    dir.put("source/all.fbx", binary(&scene.records(&takes)));
     // A take without curves is not a motion, so the other take keeps the id of the file.
     let jog: [Take<'_>; 2] = [("Jog", &jogs), ("Take 001", &[])];
-    put(&source, "mixamo.fbx", ascii(&scene.records(&jog)));
-    put(&source, "still.fbx", binary(&scene.records(&takes[2..])));
-    put(&source, "nothing.fbx", binary(&scene.records(&[])));
-    let (_, out) = ingested(&source, &["--fps", "native"], &[3, 0, 2]);
+    dir.put("source/mixamo.fbx", ascii(&scene.records(&jog)));
+    dir.put("source/still.fbx", binary(&scene.records(&takes[2..])));
+    dir.put("source/nothing.fbx", binary(&scene.records(&[])));
+    let (_, out) = ingested(&dir, "source", "--fps native", &[3, 0, 2]);
     let rows = motions_of(&out);
     assert_shows(&rows["all#Walk"], &walks, 1);
     assert_shows(&rows["all#Run"], &runs, 1);
@@ -370,47 +371,45 @@ fn every_take_is_a_clip_of_one_split() {
     let skipped = skipped_of(&out);
     assert_eq!(skipped["still.fbx"], "no take moves a skeleton");
     assert_eq!(skipped["nothing.fbx"], "no take in the file");
-    let ran = stance(&["doctor", arg(&source)]).printed();
+    let ran = dir.run("doctor @source").stdout;
     assert!(ran.contains("fbx") && !ran.contains("Blender"), "{ran}");
-    let made = dir.path().join("none");
-    typed("ingest {} --format bvh --out {}", &[&source, &made]).expect_code(1);
+    let none = "ingest @source --format bvh --out @none";
+    dir.typed(none).expect_code(1);
 }
 
 #[test]
 fn a_rig_with_its_own_names_is_read_by_a_joint_map() {
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(30, 30.0);
     let scene = scene(|s| s.prefix = "q");
-    put(&source, "own.fbx", binary(&scene.records(&[("a", &poses)])));
+    dir.put("source/own.fbx", binary(&scene.records(&[("a", &poses)])));
     let names = Joint::ALL.iter().take(22).zip(NAMES.split(' '));
-    let joints: BTreeMap<&str, String> = names
-        .map(|(joint, name)| (joint.name(), format!("q{name}")))
-        .collect();
+    let joints = names.map(|(joint, name)| (joint.name(), format!("q{name}")));
+    let joints: BTreeMap<&str, String> = joints.collect();
     let map = serde_json::json!({"name": "own", "joints": joints});
-    put(dir.path(), "map.json", map.to_string());
-    let map = dir.path().join("map.json");
-    let more = ["--fps", "native", "--joint-map", arg(&map)];
-    let (_, out) = ingested(&source, &more, &[1]);
+    dir.put("map.json", map.to_string());
+    let more = "--fps native --joint-map @map.json";
+    let (_, out) = ingested(&dir, "source", more, &[1]);
     assert_shows(&motions_of(&out)["own"], &poses, 1);
     assert_tells(&inspected(&out, "own"), "skeleton map own of the user");
 }
 
 #[test]
 fn broken_fbx_files_are_quarantined() {
-    let (_dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(10, 30.0);
     let scene = scene(|_| ());
     let mut records = scene.records(&[("a", &poses)]);
     let whole = binary(&records);
-    put(&source, "good.fbx", &whole);
-    put(&source, "empty.fbx", b"");
-    put(&source, "cut.fbx", &whole[..whole.len() / 2]);
+    dir.put("source/good.fbx", &whole);
+    dir.put("source/empty.fbx", b"");
+    dir.put("source/cut.fbx", &whole[..whole.len() / 2]);
     let noise = [b"Kaydara FBX Binary  \0\x1a\0".as_slice(), &[0xa5; 300]];
-    put(&source, "noise.fbx", noise.concat());
+    dir.put("source/noise.fbx", noise.concat());
     let words = "; FBX 7.4.0 project file\nObjects: {{{\n";
-    put(&source, "words.fbx", words);
+    dir.put("source/words.fbx", words);
     let once = scene.records(&[("a", &poses[..1])]);
-    put(&source, "once.fbx", binary(&once));
+    dir.put("source/once.fbx", binary(&once));
     // Bones that all lie at one point are not a body.
     for object in &mut records[2].children {
         if let Some(properties) = object.children.get_mut(1) {
@@ -419,8 +418,8 @@ fn broken_fbx_files_are_quarantined() {
             );
         }
     }
-    put(&source, "bones.fbx", ascii(&records));
-    let (_, out) = ingested(&source, &[], &[1, 6]);
+    dir.put("source/bones.fbx", ascii(&records));
+    let (_, out) = ingested(&dir, "source", "", &[1, 6]);
     let expected = [
         ("bones.fbx", "E-FBX-SKELETON"),
         ("cut.fbx", "E-FBX-SYNTAX"),
@@ -436,7 +435,7 @@ fn broken_fbx_files_are_quarantined() {
 #[test]
 fn damaged_fbx_files_never_end_a_run() {
     const FILES: u64 = 150;
-    let (dir, source) = place();
+    let dir = Folder::empty();
     let poses = walk(5, 30.0);
     let scene = scene(|s| s.bind_pose = true);
     let records = scene.records(&[("a", &poses), ("b", &poses[1..])]);
@@ -466,10 +465,9 @@ fn damaged_fbx_files_never_end_a_run() {
                 }
             }
         }
-        put(&source, &format!("{number:04}.fbx"), bytes);
+        dir.put(&format!("source/{number:04}.fbx"), bytes);
     }
-    let out = dir.path().join("out");
-    let ran = stance(&["--json", "ingest", arg(&source), "--out", arg(&out)]);
+    let ran = dir.typed("--json ingest @source --out @out");
     assert!([0, 3].contains(&ran.code), "{}: {ran}", ran.code);
     let done: serde_json::Value = ran.json();
     assert_eq!(done["files"], FILES, "{done}");

@@ -61,10 +61,8 @@ fn golden_blend() {
     {
         // 0 keeps the source, 1 blends, 2 takes the target.
         let joints = |code: i64| -> JointSet {
-            let joints = Joint::ALL.into_iter();
-            joints
-                .filter(|joint| codes[joint.index()] == code)
-                .collect()
+            let has_code = |joint: &Joint| codes[joint.index()] == code;
+            Joint::ALL.into_iter().filter(has_code).collect()
         };
         let mask = BlendMask::new(joints(2), joints(1)).expect("one code per joint");
         let alpha: &[f64; NUM_BODY_JOINTS] = alpha.try_into().expect("one alpha per joint");

@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::ops::Deref;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use base64::Engine;
@@ -11,7 +13,7 @@ use serde_json::{Value, json};
 use sha1::Sha1;
 use sha2::{Digest, Sha256};
 
-use crate::util::{Ran, command};
+use crate::util::{Folder, Ran, json_lines};
 
 /// The token with all rights.
 pub(crate) const TOKEN: &str = "hf_the_right_one";
@@ -83,42 +85,53 @@ impl State {
     /// Clears the record of requests, and returns the paths of those with this method.
     pub(crate) fn take_calls(&mut self, method: &str) -> Vec<String> {
         let calls = std::mem::take(&mut self.calls).into_iter();
-        calls
-            .filter_map(|call| Some(call.line.strip_prefix(method)?.trim().to_owned()))
-            .collect()
+        let path = |call: Call| Some(call.line.strip_prefix(method)?.trim().to_owned());
+        calls.filter_map(path).collect()
     }
 }
 
-/// A hub that runs until the test process ends.
+/// A hub that runs until the test process ends, and a folder for its test.
 pub(crate) struct Hub {
     address: String,
-    home: tempfile::TempDir,
+    home: Folder,
+    folder: Folder,
     state: Arc<Mutex<State>>,
+}
+
+impl Deref for Hub {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.folder
+    }
 }
 
 impl Hub {
     pub(crate) fn open() -> Self {
         let state = Arc::<Mutex<State>>::default();
-        let bound = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
-        let addresses = bound.each_ref().map(|listener| {
-            let address = listener.local_addr().expect("bound");
-            format!("http://{address}")
-        });
-        state.lock().expect("no thread yet").addresses = addresses.clone();
-        for (is_storage, listener) in [false, true].into_iter().zip(bound) {
+        let addresses = [false, true].map(|is_storage| {
             let state = Arc::clone(&state);
-            std::thread::spawn(move || {
-                for stream in listener.incoming().flatten() {
-                    // Ignore clients that hang up.
-                    let _answered = answer(stream, &state, is_storage);
+            serve(move |request| {
+                let mut state = state.lock().expect("no thread panicked");
+                state.calls.push(Call {
+                    line: format!("{} {}", request.method, request.target),
+                    token: request.token.clone(),
+                    is_storage,
+                });
+                if !is_storage {
+                    return Some(called(request, &mut state));
                 }
-            });
-        }
+                let mut reply = stored(request, &mut state)?;
+                reply.cut = state.cut.unwrap_or(usize::MAX);
+                Some(reply)
+            })
+        });
+        state.lock().expect("no request yet").addresses = addresses.clone();
         let [address, _] = addresses;
-        let home = tempfile::tempdir().expect("a folder");
         Self {
             address,
-            home,
+            home: Folder::empty(),
+            folder: Folder::empty(),
             state,
         }
     }
@@ -128,19 +141,19 @@ impl Hub {
     }
 
     /// Path at which the tools of the hub keep a token.
-    pub(crate) fn token_file(&self) -> std::path::PathBuf {
-        self.home.path().join("token")
+    pub(crate) fn token_file(&self) -> PathBuf {
+        self.home.path("token")
     }
 
-    /// Runs the command with this hub and a token.
-    pub(crate) fn run(&self, token: Option<&str>, args: &[&str]) -> Ran {
-        let mut command = command(args);
+    /// Runs a command line with this hub and a token.
+    pub(crate) fn ran(&self, token: Option<&str>, line: &str) -> Ran {
+        let mut command = self.command(line);
         for name in ["https_proxy", "all_proxy", "hf_token", "hf_token_path"] {
             command.env_remove(name).env_remove(name.to_uppercase());
         }
         command
             .env("HF_ENDPOINT", &self.address)
-            .env("HF_HOME", self.home.path());
+            .env("HF_HOME", self.home.path(""));
         if let Some(token) = token {
             command.env("HF_TOKEN", token);
         }
@@ -200,19 +213,22 @@ impl Request {
     }
 }
 
-struct Reply {
+pub(crate) struct Reply {
     status: &'static str,
-    /// A further header line; may be empty.
-    header: String,
+    /// Further header lines; may be empty.
+    pub(crate) header: String,
     body: Vec<u8>,
+    /// Bytes of the body after which the connection is closed.
+    pub(crate) cut: usize,
 }
 
 impl Reply {
-    fn new(status: &'static str, body: impl Into<Vec<u8>>) -> Self {
+    pub(crate) fn new(status: &'static str, body: impl Into<Vec<u8>>) -> Self {
         Self {
             status,
             header: String::new(),
             body: body.into(),
+            cut: usize::MAX,
         }
     }
 
@@ -239,36 +255,31 @@ impl Reply {
     }
 }
 
-/// Answers one request.
-fn answer(mut stream: TcpStream, state: &Mutex<State>, is_storage: bool) -> std::io::Result<()> {
-    let request = Request::read(&stream)?;
-    let mut state = state.lock().expect("no thread panicked");
-    state.calls.push(Call {
-        line: format!("{} {}", request.method, request.target),
-        token: request.token.clone(),
-        is_storage,
+/// Answers requests on a port of this machine until the test process ends, and returns the address. Without a reply the
+/// connection is closed.
+pub(crate) fn serve(reply: impl Fn(&Request) -> Option<Reply> + Send + 'static) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = listener.local_addr().expect("bound");
+    std::thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            // Ignore clients that hang up.
+            let _answered = answer(stream, &reply);
+        }
     });
-    let reply = match is_storage {
-        true => stored(&request, &mut state),
-        false => Some(called(&request, &mut state)),
-    };
-    // Without a reply the connection is closed.
-    let Some(reply) = reply else {
+    format!("http://{address}")
+}
+
+/// Answers one request.
+fn answer(mut stream: TcpStream, reply: impl Fn(&Request) -> Option<Reply>) -> std::io::Result<()> {
+    let Some(reply) = reply(&Request::read(&stream)?) else {
         return Ok(());
     };
-    let cut = state.cut.filter(|_| is_storage).unwrap_or(usize::MAX);
-    drop(state);
-    let Reply {
-        status,
-        header,
-        body,
-    } = reply;
-    let length = body.len();
+    let (status, header, length) = (reply.status, reply.header, reply.body.len());
     let head = format!(
         "HTTP/1.1 {status}\r\n{header}Content-Length: {length}\r\nConnection: close\r\n\r\n"
     );
     stream.write_all(head.as_bytes())?;
-    stream.write_all(&body[..length.min(cut)])
+    stream.write_all(&reply.body[..length.min(reply.cut)])
 }
 
 /// Reply of the storage, which holds objects and parts of them by their SHA-256; `None` closes the connection.
@@ -480,12 +491,9 @@ fn complete(asked: &Value, state: &mut State) -> Reply {
 
 fn commit(lines: &[u8], repo: &str, state: &mut State) -> Reply {
     let text = std::str::from_utf8(lines).expect("text");
-    let lines = text
-        .lines()
-        .map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
     let commits = &state.repos[repo];
     let mut files = commits.last().cloned().unwrap_or_default();
-    for line in lines {
+    for line in json_lines(text) {
         let value = &line["value"];
         let path = value["path"].as_str().unwrap_or_default().to_owned();
         match line["key"].as_str().expect("a key") {

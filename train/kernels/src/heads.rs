@@ -2,7 +2,7 @@
 
 use kinematics::simd::lanes::LANES;
 
-use crate::rows::exp;
+use crate::rows::{exp, halved};
 
 /// Sizes of an attention layer.
 #[derive(Clone, Copy, Debug)]
@@ -46,14 +46,7 @@ fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 
             *lane = join(*lane, value);
         }
     }
-    let mut half = LANES / 2;
-    while half > 0 {
-        for lane in 0..half {
-            lanes[lane] = join(lanes[lane], lanes[lane + half]);
-        }
-        half /= 2;
-    }
-    lanes[0]
+    halved(lanes, join)
 }
 
 /// Softmax weights below this share of the largest become zero: even hundreds of them are below the rounding error of

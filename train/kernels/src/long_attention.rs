@@ -4,12 +4,12 @@ use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
 
 use crate::heads::{Heads, soften};
-use crate::product::{Columns, columns, multiply_alone};
+use crate::product::{Matrix, columns, multiply_alone};
 use crate::rows::Mask;
 
 /// Queries, keys or values (`part` 0, 1 or 2) of one head. `place` is the head's index among the heads of all
 /// sequences.
-fn part<'a>(heads: Heads<'_>, joint: &'a [f32], place: usize, part: usize) -> Columns<'a> {
+fn part<'a>(heads: Heads<'_>, joint: &'a [f32], place: usize, part: usize) -> Matrix<'a> {
     let (length, width, count) = (heads.length, heads.width, heads.count);
     let (sequence, at) = (place / count, place % count);
     let size = 3 * length * width;

@@ -1,68 +1,21 @@
 //! Multi-threaded matrix products in single precision, by the crate faer.
 
 use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
+use faer::{MatMut, MatRef, Par};
 
-/// A view of a matrix: row-major numbers or their transpose.
-#[derive(Clone, Copy, Debug)]
-pub struct Matrix<'a> {
-    values: &'a [f32],
-    rows: usize,
-    columns: usize,
-    is_transposed: bool,
-}
+/// How a product is written to the output: it replaces the output, or is added to it.
+pub use faer::Accum as Write;
 
-impl<'a> Matrix<'a> {
-    /// Views row-major numbers with `columns` in a row.
-    ///
-    /// # Panics
-    /// If the number of values is not a multiple of `columns`.
-    pub fn new(values: &'a [f32], columns: usize) -> Self {
-        assert!(columns > 0 && values.len().is_multiple_of(columns));
-        Self {
-            values,
-            rows: values.len() / columns,
-            columns,
-            is_transposed: false,
-        }
-    }
+/// A view of a matrix: row-major numbers, or some of their columns, or the transpose of either.
+pub type Matrix<'a> = MatRef<'a, f32>;
 
-    /// Number of rows.
-    pub fn rows(self) -> usize {
-        self.rows
-    }
-
-    /// Number of columns.
-    pub fn columns(self) -> usize {
-        self.columns
-    }
-
-    /// The transpose.
-    pub fn transposed(self) -> Self {
-        Self {
-            rows: self.columns,
-            columns: self.rows,
-            is_transposed: !self.is_transposed,
-            ..self
-        }
-    }
-
-    fn view(self) -> MatRef<'a, f32> {
-        if self.is_transposed {
-            MatRef::from_row_major_slice(self.values, self.columns, self.rows).transpose()
-        } else {
-            MatRef::from_row_major_slice(self.values, self.rows, self.columns)
-        }
-    }
-}
-
-/// How a product is written to the output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Write {
-    /// The output is overwritten.
-    Replace,
-    /// The product is added to the output.
-    Add,
+/// Views row-major numbers with `columns` in a row.
+///
+/// # Panics
+/// If the number of values is not a multiple of `columns`.
+pub fn matrix(values: &[f32], columns: usize) -> Matrix<'_> {
+    assert!(columns > 0 && values.len().is_multiple_of(columns));
+    MatRef::from_row_major_slice(values, values.len() / columns, columns)
 }
 
 /// Computes `a b` and writes it to `out`, or adds it, row-major. Each row of the result depends neither on the number
@@ -74,20 +27,12 @@ pub enum Write {
 /// # Panics
 /// If the sizes disagree.
 pub fn multiply(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], write: Write) {
-    assert_eq!(a.columns, b.rows, "the inner sizes agree");
-    assert_eq!(out.len(), a.rows * b.columns, "the result has its size");
-    let accumulate = match write {
-        Write::Replace => Accum::Replace,
-        Write::Add => Accum::Add,
-    };
-    let out = MatMut::from_row_major_slice_mut(out, a.rows, b.columns);
-    matmul(out, accumulate, a.view(), b.view(), 1.0, Par::rayon(0));
+    let out = MatMut::from_row_major_slice_mut(out, a.nrows(), b.ncols());
+    matmul(out, write, a, b, 1.0, Par::rayon(0));
 }
 
-pub(crate) type Columns<'a> = MatRef<'a, f32>;
-
 /// Views `count` columns, starting at `first`, of row-major numbers with `stride` in a row.
-pub(crate) fn columns(values: &[f32], stride: usize, first: usize, count: usize) -> Columns<'_> {
+pub(crate) fn columns(values: &[f32], stride: usize, first: usize, count: usize) -> Matrix<'_> {
     let rows = values.len() / stride;
     MatRef::from_row_major_slice_with_stride(&values[first..], rows, count, stride)
 }
@@ -96,9 +41,9 @@ pub(crate) fn columns(values: &[f32], stride: usize, first: usize, count: usize)
 ///
 /// # Panics
 /// If the sizes disagree.
-pub(crate) fn multiply_alone(a: Columns<'_>, b: Columns<'_>, out: &mut [f32]) {
+pub(crate) fn multiply_alone(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32]) {
     let out = MatMut::from_row_major_slice_mut(out, a.nrows(), b.ncols());
-    matmul(out, Accum::Replace, a, b, 1.0, Par::Seq);
+    matmul(out, Write::Replace, a, b, 1.0, Par::Seq);
 }
 
 #[cfg(test)]
@@ -128,8 +73,8 @@ mod tests {
                 .collect()
         };
         let (a_flipped, b_flipped) = (flipped(&a, k), flipped(&b, n));
-        for a in [Matrix::new(&a, k), Matrix::new(&a_flipped, m).transposed()] {
-            for b in [Matrix::new(&b, n), Matrix::new(&b_flipped, k).transposed()] {
+        for a in [matrix(&a, k), matrix(&a_flipped, m).transpose()] {
+            for b in [matrix(&b, n), matrix(&b_flipped, k).transpose()] {
                 let mut out = vec![1.0f32; m * n];
                 multiply(a, b, &mut out, Write::Replace);
                 assert_eq!(out, expected, "{m} {k} {n}");
@@ -153,7 +98,7 @@ mod tests {
     fn results_do_not_depend_on_the_number_of_threads() {
         let a: Vec<f32> = (0..130 * 700).map(|at| (at as f32).sin()).collect();
         let b: Vec<f32> = (0..700 * 300).map(|at| (at as f32).cos()).collect();
-        let (a, b) = (Matrix::new(&a, 700), Matrix::new(&b, 300));
+        let (a, b) = (matrix(&a, 700), matrix(&b, 300));
         let products = [1, 2, 5].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             let mut out = vec![0.0; 130 * 300];
@@ -168,11 +113,11 @@ mod tests {
     fn a_row_does_not_depend_on_its_neighbours() {
         let a: Vec<f32> = (0..40 * 300).map(|at| (at as f32).sin()).collect();
         let b: Vec<f32> = (0..300 * 48).map(|at| (at as f32).cos()).collect();
-        let b = Matrix::new(&b, 48);
+        let b = matrix(&b, 48);
         let mut whole = vec![0.0; 40 * 48];
-        multiply(Matrix::new(&a, 300), b, &mut whole, Write::Replace);
+        multiply(matrix(&a, 300), b, &mut whole, Write::Replace);
         let mut single = vec![0.0; 48];
-        let row = Matrix::new(&a[17 * 300..18 * 300], 300);
+        let row = matrix(&a[17 * 300..18 * 300], 300);
         multiply(row, b, &mut single, Write::Replace);
         assert_eq!(single, whole[17 * 48..18 * 48]);
     }

@@ -131,14 +131,20 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     for (lane, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
         sums[lane] += a * b;
     }
-    let mut width = LANES / 2;
-    while width > 0 {
-        for lane in 0..width {
-            sums[lane] += sums[lane + width];
+    halved(sums, |a, b| a + b)
+}
+
+/// Joins lanes pairwise: each lane of the first half with one of the second, until one is left.
+#[inline(always)]
+pub(crate) fn halved(mut lanes: [f32; LANES], join: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut half = LANES / 2;
+    while half > 0 {
+        for lane in 0..half {
+            lanes[lane] = join(lanes[lane], lanes[lane + half]);
         }
-        width /= 2;
+        half /= 2;
     }
-    sums[0]
+    lanes[0]
 }
 
 #[inline(always)]

@@ -61,18 +61,19 @@ impl RunSettings {
             .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
     }
 
-    /// Draws the micro-batches of a step. Each has at most `micro` items and is returned with its share of the step's
-    /// items. `draw` gets the first item and the number of items.
+    /// Returns a function that draws the micro-batches of a step. It gets the step and the largest size of a
+    /// micro-batch, and returns each with its share of the step's items. `draw` gets the first item and the number of
+    /// items.
     pub(crate) fn batches<B>(
         &self,
-        step: u64,
-        micro: usize,
         draw: impl Fn(u64, usize) -> Result<B, Error>,
-    ) -> Result<Vec<(f64, B)>, Error> {
-        let share = |count: usize| count as f64 / self.batch_size as f64;
-        self.micro_batches(step, micro)
-            .map(|(first, count)| Ok((share(count), draw(first, count)?)))
-            .collect()
+    ) -> impl Fn(u64, usize) -> Result<Vec<(f64, B)>, Error> {
+        let (run, size) = (*self, self.batch_size as f64);
+        move |step, micro| -> Result<Vec<(f64, B)>, Error> {
+            run.micro_batches(step, micro)
+                .map(|(first, count)| Ok((count as f64 / size, draw(first, count)?)))
+                .collect()
+        }
     }
 
     /// Draws the micro-batches of a validation of `num_items` items, as [`RunSettings::batches`] does for a step. Each

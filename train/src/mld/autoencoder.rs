@@ -66,12 +66,11 @@ pub(super) fn train(
         // The loss also averages over padding, and so depends on the longest motion of the micro-batch.
         of_thread: None,
         epoch_len: clips.len() as u64,
-        draw: &|step, micro| {
-            config.run.batches(step, micro, |first, count| {
-                let noise = latent_noise(sampler.seed, first, count, config.model.width);
-                Ok((sampler.draw(first, count), Some(noise)))
-            })
-        },
+        network: &|device| record.network(device),
+        draw: &config.run.batches(|first, count| {
+            let noise = latent_noise(sampler.seed, first, count, config.model.width);
+            Ok((sampler.draw(first, count), Some(noise)))
+        }),
         loss: &|model, batch, device, pass| record.loss(model, batch, device, pass),
         // A validation uses the mean latent vectors.
         validation: val
@@ -79,8 +78,7 @@ pub(super) fn train(
             .map(|crops| (crops.lengths.len(), (crops, None)))
             .collect(),
     };
-    let network = |device: &Device| record.network(device);
-    Ok(trainer::train(&task, network, &run, session)?.1)
+    trainer::train(&task, &run, session)
 }
 
 /// Crops, and the noise for their latent vectors, `[B, d]`.

@@ -90,14 +90,14 @@ pub fn train_mld<'a>(
     };
     // Another device gives other last digits, so a resumed run keeps the value that it began with.
     let known = start.fitted::<MldRecord>(KIND)?;
-    let known = known.filter(|known| known.autoencoder == autoencoder.hash);
-    let latent_std = match known {
+    let latent_std = match known.filter(|known| known.autoencoder == autoencoder.hash) {
         Some(known) => known.latent_std,
         None => latent_std(&autoencoder, &sampler(&train, "std"), config, session),
     };
+    let texts = corpus.captions();
     let record = MldRecord {
         train: config.clone(),
-        text: TextRecord::chosen(&config.text, None, corpus.captions(), corpus.vectors)?,
+        text: TextRecord::chosen(&config.text, (start, None), texts, corpus.vectors)?,
         autoencoder: autoencoder.hash.clone(),
         latent_std,
     };
@@ -124,17 +124,15 @@ pub fn train_mld<'a>(
         run: config.run,
         of_thread: Some(64),
         epoch_len: train.len() as u64,
-        draw: &|step, micro| {
-            config.run.batches(step, micro, |first, count| {
-                let crops = sampler.draw(first, count);
-                noising.noisy(&crops, sampler.seed, first, config.text_dropout)
-            })
-        },
+        network: &|device| record.network(device),
+        draw: &config.run.batches(|first, count| {
+            let crops = sampler.draw(first, count);
+            noising.noisy(&crops, sampler.seed, first, config.text_dropout)
+        }),
         loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
         validation: val_batches.collect::<Result<_, Error>>()?,
     };
-    let network = |device: &Device| record.network(device);
-    let report = trainer::train(&task, network, &run, session)?.1;
+    let report = trainer::train(&task, &run, session)?;
     Ok(report.without((corpus.train.len() - train.len()) as u64))
 }
 

@@ -185,19 +185,15 @@ impl Generator {
         let texts = texts.batch(bases.iter().map(|base| base.text.as_str()).chain(none))?;
         let text = self.model.text_vectors(&texts, 2 * rows, &self.device);
         let pass = Pass::new(session.arithmetic);
-        let latents = self.ddim.sample(
-            start,
-            |z, timestep| {
-                session.go_on("generating")?;
-                let both = Tensor::cat(vec![z.clone(), z.clone()], 0);
-                let timesteps = vec![timestep; 2 * rows];
-                let network = &self.model.network;
-                let both = network.forward(both, &timesteps, text.clone(), &pass);
-                let half = |index: usize| both.clone().narrow(0, index * rows, rows);
-                Ok(guide(half(0), half(1), self.record.train.guidance))
-            },
-            |_| {},
-        )?;
+        let latents = self.ddim.sample(start, |z, timestep| {
+            session.go_on("generating")?;
+            let both = Tensor::cat(vec![z.clone(), z.clone()], 0);
+            let timesteps = vec![timestep; 2 * rows];
+            let network = &self.model.network;
+            let both = network.forward(both, &timesteps, text.clone(), &pass);
+            let half = |index: usize| both.clone().narrow(0, index * rows, rows);
+            Ok(guide(half(0), half(1), self.record.train.guidance))
+        })?;
         Ok(read(latents))
     }
 

@@ -12,7 +12,7 @@ use safetensors::SafeTensors;
 
 use super::text::token_tensor;
 use super::torch::{StoredTensor, float_tensor, safetensors_of};
-use super::transformer::{Padding, join_heads, split_heads};
+use super::transformer::{join_heads, split_heads};
 use super::weights::from_safetensors_named;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
@@ -174,11 +174,6 @@ impl ClipText {
         self.context
     }
 
-    /// The device that holds the weights.
-    pub fn device(&self) -> Device {
-        self.token_embedding.weight.val().device()
-    }
-
     /// Encodes texts: the projected vector of each end token, not normalised.
     ///
     /// Attention is causal, so rows may be padded with any tokens after their end token, and the batch may be truncated
@@ -190,35 +185,31 @@ impl ClipText {
     /// # Panics
     /// If rows are longer than the context.
     pub fn forward(&self, tokens: &TokenBatch) -> Tensor<2> {
-        self.project(self.hidden(tokens, None), tokens)
+        self.project(self.hidden(tokens), tokens)
     }
 
-    /// The output of the last norm for every token. With `lengths`, tokens after a row's length are masked in
-    /// attention, like with the reference's padding mask.
+    /// The output of the last norm for every token.
     ///
     /// # Shapes
-    /// `B` rows of `T` tokens give `[B, T, d]`; `lengths` `[B]`.
+    /// `B` rows of `T` tokens give `[B, T, d]`.
     ///
     /// # Panics
     /// If rows are longer than the context.
-    pub fn hidden(&self, tokens: &TokenBatch, lengths: Option<&[usize]>) -> Tensor<3> {
+    pub fn hidden(&self, tokens: &TokenBatch) -> Tensor<3> {
         assert!(
             tokens.width <= self.context,
             "rows of {} tokens in a context of {}",
             tokens.width,
             self.context
         );
-        let device = self.device();
+        let device = self.token_embedding.weight.val().device();
         let words = self.token_embedding.forward(token_tensor(tokens, &device));
         let places = self.position_embedding.weight.val();
         let places = places.narrow(0, 0, tokens.width);
-        let padding = lengths.map(|lengths| Padding::after(lengths, tokens.width));
-        let x = self
-            .layers
-            .iter()
-            .fold(words + places.unsqueeze_dim(0), |x, layer| {
-                layer.forward(x, padding.as_ref())
-            });
+        let mut x = words + places.unsqueeze_dim(0);
+        for layer in &self.layers {
+            x = layer.forward(x);
+        }
         self.final_layer_norm.forward(x)
     }
 
@@ -272,9 +263,9 @@ impl ClipLayer {
         }
     }
 
-    fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let normed = self.layer_norm1.forward(x.clone());
-        let x = x + self.self_attn.forward(normed, padding);
+        let x = x + self.self_attn.forward(normed);
         let normed = self.layer_norm2.forward(x.clone());
         x + self.mlp.forward(normed)
     }
@@ -302,9 +293,8 @@ impl ClipAttention {
         }
     }
 
-    fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let heads = |layer: &Linear| split_heads(layer.forward(x.clone()), self.num_heads);
-        let mask = padding.map(|padding| padding.of_attention(self.num_heads, &x.device()));
         let options = AttentionModuleOptions {
             is_causal: true,
             ..Default::default()
@@ -313,7 +303,7 @@ impl ClipAttention {
             heads(&self.q_proj),
             heads(&self.k_proj),
             heads(&self.v_proj),
-            mask,
+            None,
             None,
             options,
         );

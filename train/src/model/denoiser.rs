@@ -111,10 +111,10 @@ impl Denoiser {
         }
     }
 
-    /// Returns the denoiser with the condition added to every frame, in addition to its own token.
+    /// Sets whether the condition is added to every frame, in addition to its own token.
     #[must_use]
-    pub fn telling_frames(mut self) -> Self {
-        self.tells_frames = true;
+    pub fn telling_frames(mut self, tells_frames: bool) -> Self {
+        self.tells_frames = tells_frames;
         self
     }
 
@@ -127,13 +127,23 @@ impl Denoiser {
         self
     }
 
-    /// Tokens of frames, plus the condition if the model adds it to every frame.
-    fn told(&self, frames: Tensor<3>, condition: &Tensor<3>) -> Tensor<3> {
+    /// The input of the transformer: the condition and the frames as tokens with positional encoding, `[B, 1 + W, d]`.
+    /// `original` holds the tokens of the original frames.
+    fn tokens(
+        &self,
+        x: Tensor<3>,
+        original: Tensor<3>,
+        condition: Tensor<2>,
+        positions: Tensor<3>,
+    ) -> Tensor<3> {
+        let [_, width] = condition.dims();
+        let scale = (width as f64).sqrt();
+        let mut frames = (self.embed_frames(x) + original).mul_scalar(scale / 2.0);
+        let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
         if self.tells_frames {
-            frames + condition.clone()
-        } else {
-            frames
+            frames = frames + condition.clone();
         }
+        Tensor::cat(vec![condition, frames], 1) + positions
     }
 
     /// Output of the network, computed from the encoded tokens of frames.
@@ -168,21 +178,14 @@ impl Denoiser {
         pass: &Pass,
     ) -> Tensor<3> {
         let [_, window, _] = x.dims();
-        let device = x.device();
         let text = self.project(text);
         let [_, width] = text.dims();
-        let scale = (width as f64).sqrt();
-
-        let frames = (self.embed_frames(x) + self.embedding_original.forward(original))
-            .mul_scalar(scale / 2.0);
+        let positions = positions(1 + window, width, &x.device());
+        let original = self.embedding_original.forward(original);
         let condition = self.embed_timestep.embed(timesteps)
             + text.div_scalar(TEXT_DIVISOR)
             + self.embed_prog_ind.embed(&progress_indices(progress));
-        let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
-        let frames = self.told(frames, &condition);
-
-        let tokens = Tensor::cat(vec![condition, frames], 1);
-        let tokens = tokens + positions(1 + window, width, &device);
+        let tokens = self.tokens(x, original, condition, positions);
         let tokens = self
             .transformer
             .forward(pass.drop_out(&self.dropout, tokens), None, pass);
@@ -266,14 +269,9 @@ impl PreparedDenoiser<'_> {
     /// As [`Denoiser::forward`].
     pub fn forward(&self, x: Tensor<3>, timestep: usize) -> Tensor<3> {
         let [_, window, _] = x.dims();
-        let [_, width] = self.condition.dims();
-        let scale = (width as f64).sqrt();
-        let frames =
-            (self.denoiser.embed_frames(x) + self.original.clone()).mul_scalar(scale / 2.0);
         let condition = self.steps.clone().narrow(0, timestep, 1) + self.condition.clone();
-        let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
-        let frames = self.denoiser.told(frames, &condition);
-        let tokens = Tensor::cat(vec![condition, frames], 1) + self.positions.clone();
+        let (original, positions) = (self.original.clone(), self.positions.clone());
+        let tokens = self.denoiser.tokens(x, original, condition, positions);
         let encoded = self.denoiser.transformer.infer(self.weights, tokens);
         self.denoiser.read(encoded.narrow(1, 1, window))
     }
@@ -314,7 +312,7 @@ mod tests {
         ] {
             let denoiser = Denoiser::new(&config, previous, text_width, FRAME_WIDTH, &device);
             let denoiser = if is_ours {
-                denoiser.gated(2).telling_frames()
+                denoiser.gated(2).telling_frames(true)
             } else {
                 denoiser
             };

@@ -16,7 +16,7 @@ use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Tensor, TensorData};
 use kernels::attention::{self, Heads};
 use kernels::on_workers;
-use kernels::product::{Matrix, Write, multiply};
+use kernels::product::{Matrix, Write, matrix, multiply};
 use kernels::rows::{
     Mask, Norm, NormGrads, add_bias, column_sums, factors, gelu_dropout, residual_norm,
     residual_norm_backward, times_derivatives,
@@ -70,12 +70,12 @@ impl PreparedLayer {
     }
 
     fn width(&self) -> usize {
-        self.weight(OUT_PROJ).columns()
+        self.weight(OUT_PROJ).ncols()
     }
 
     fn weight(&self, index: usize) -> Matrix<'_> {
         let tensor = &self.weights[index];
-        Matrix::new(numbers(tensor), tensor.layout().shape()[1])
+        matrix(numbers(tensor), tensor.layout().shape()[1])
     }
 }
 
@@ -142,8 +142,8 @@ impl PreparedLayer {
 
     fn product(&self, x: &[f32], weight: usize, out: &mut Vec<f32>) {
         let weight = self.weight(weight);
-        let x = Matrix::new(x, weight.rows());
-        resize(out, x.rows() * weight.columns());
+        let x = matrix(x, weight.nrows());
+        resize(out, x.nrows() * weight.ncols());
         multiply(x, weight, out, Write::Replace);
     }
 
@@ -305,7 +305,10 @@ impl LayerState {
     /// Gradients of the input, the weights and the vectors. Those of weights are computed only if requested.
     fn backward(&self, grad: Buffer, has_grad: [bool; 13]) -> [Option<Buffer>; 13] {
         let mut residual = numbers(&grad.to_contiguous()).to_vec();
-        let mut branch = branch_buffer(self.masks.output, residual.len());
+        // The gradient of a branch. Without dropout it equals the residual's, and the buffer stays empty.
+        let is_dropped = self.masks.output.is_active();
+        let count = if is_dropped { residual.len() } else { 0 };
+        let mut branch = vec![0.0f32; count];
         let [_, has_weights @ .., _, _, _, _, _, _, _, _] = has_grad;
         let of_forward = self.feed_forward_backward(&mut residual, &mut branch, has_weights);
         let (of_attention, of_joint) =
@@ -348,29 +351,12 @@ impl LayerState {
         branch: &mut [f32],
         has_weights: [bool; 4],
     ) -> BlockGrads {
-        let Self {
-            layer,
-            saved,
-            masks,
-            ..
-        } = self;
-        let norm = residual_norm_backward(
-            residual,
-            &saved.second.0,
-            &saved.second.1,
-            layer.norm(1).gamma,
-            masks.output,
-            branch,
-        );
-        let of_output: &[f32] = if masks.output.is_active() {
-            &*branch
-        } else {
-            &*residual
-        };
+        let Self { layer, saved, .. } = self;
+        let (norm, of_output) = self.norm_backward(1, residual, branch);
         let of_linear2 = self.of_weight(LINEAR2, &saved.hidden, of_output, has_weights);
         let (left, right) = self.back(of_output, LINEAR2);
         let mut of_hidden = product(left, right);
-        let hidden_width = layer.weight(LINEAR1).columns();
+        let hidden_width = layer.weight(LINEAR1).ncols();
         let bias = times_derivatives(&mut of_hidden, &saved.derivatives, hidden_width);
         let of_linear1 = self.of_weight(LINEAR1, &saved.middle, &of_hidden, has_weights);
         let (left, right) = self.back(&of_hidden, LINEAR1);
@@ -390,33 +376,16 @@ impl LayerState {
         branch: &mut [f32],
         has_weights: [bool; 4],
     ) -> (BlockGrads, Vec<f32>) {
-        let Self {
-            layer,
-            saved,
-            masks,
-            ..
-        } = self;
-        let heads = layer.heads(self.length, self.padding.as_deref());
-        let norm = residual_norm_backward(
-            residual,
-            &saved.first.0,
-            &saved.first.1,
-            layer.norm(0).gamma,
-            masks.attended,
-            branch,
-        );
-        let of_output: &[f32] = if masks.attended.is_active() {
-            &*branch
-        } else {
-            &*residual
-        };
+        let saved = &self.saved;
+        let heads = self.layer.heads(self.length, self.padding.as_deref());
+        let (norm, of_output) = self.norm_backward(0, residual, branch);
         let of_out_proj = self.of_weight(OUT_PROJ, &saved.attended, of_output, has_weights);
         let (left, right) = self.back(of_output, OUT_PROJ);
         let of_attended = product(left, right);
         let of_joint = attention::backward(
             heads,
             &saved.joint,
-            masks.weights,
+            self.masks.weights,
             &saved.weights,
             &of_attended,
         );
@@ -429,6 +398,25 @@ impl LayerState {
         (grads, of_joint)
     }
 
+    /// The backward pass of a norm. Returns the gradients of its parameters, and that of its branch: without dropout,
+    /// the residual's.
+    fn norm_backward<'a>(
+        &self,
+        index: usize,
+        residual: &'a mut [f32],
+        branch: &'a mut [f32],
+    ) -> (NormGrads, &'a [f32]) {
+        let (saved, mask) = match index {
+            0 => (&self.saved.first, self.masks.attended),
+            _ => (&self.saved.second, self.masks.output),
+        };
+        let (normalised, scales) = saved;
+        let gamma = self.layer.norm(index).gamma;
+        let norm = residual_norm_backward(residual, normalised, scales, gamma, mask, branch);
+        let of_branch: &[f32] = if mask.is_active() { branch } else { residual };
+        (norm, of_branch)
+    }
+
     /// The gradient of a weight that multiplied `x`, if it is requested.
     fn of_weight(
         &self,
@@ -439,8 +427,8 @@ impl LayerState {
     ) -> Option<Buffer> {
         has_weights[weight].then(|| {
             let [inputs, outputs] = [x, grad].map(|values| values.len() / self.rows());
-            let grad = Matrix::new(grad, outputs);
-            let values = product(Matrix::new(x, inputs).transposed(), grad);
+            let grad = matrix(grad, outputs);
+            let values = product(matrix(x, inputs).transpose(), grad);
             buffer(values, [inputs, outputs])
         })
     }
@@ -449,22 +437,13 @@ impl LayerState {
     /// the result.
     fn back<'a>(&'a self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Matrix<'a>) {
         (
-            Matrix::new(grad, grad.len() / self.rows()),
-            self.layer.weight(weight).transposed(),
+            matrix(grad, grad.len() / self.rows()),
+            self.layer.weight(weight).transpose(),
         )
     }
 
     fn rows(&self) -> usize {
         self.saved.middle.len() / self.layer.width()
-    }
-}
-
-/// Buffer for the gradient of a branch. It is empty without dropout, because this gradient then equals the residual's.
-fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
-    if mask.is_active() {
-        vec![0.0; count]
-    } else {
-        Vec::new()
     }
 }
 
@@ -537,7 +516,7 @@ pub(crate) fn encoder_layer(
 }
 
 fn product(a: Matrix<'_>, b: Matrix<'_>) -> Vec<f32> {
-    let mut out = vec![0.0; a.rows() * b.columns()];
+    let mut out = vec![0.0; a.nrows() * b.ncols()];
     multiply(a, b, &mut out, Write::Replace);
     out
 }

@@ -73,12 +73,10 @@ impl MotionRefit {
             Prediction::Gated => denoiser.gated(num_gates(diffusion.noise)),
             _ => denoiser,
         };
-        let denoiser = if diffusion.tell_frames {
-            denoiser.telling_frames()
-        } else {
-            denoiser
-        };
-        Self { denoiser, text }
+        Self {
+            denoiser: denoiser.telling_frames(diffusion.tell_frames),
+            text,
+        }
     }
 
     /// The vectors of a batch of instructions.

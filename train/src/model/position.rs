@@ -67,29 +67,20 @@ impl Tables {
     fn table(&self, rows: usize, width: usize, device: &Device) -> Tensor<2> {
         let plain = device.clone().inner();
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = kept
-            .iter()
-            .position(|(on, table)| *on == plain && table.dims()[1] == width);
-        let place = match known {
-            Some(place) if kept[place].1.dims()[0] >= rows => place,
-            _ => {
+        let is_known = |(on, table): &(Device, Tensor<2>)| *on == plain && table.dims()[1] == width;
+        // A table with too few rows is made again.
+        kept.retain(|entry| !is_known(entry) || entry.1.dims()[0] >= rows);
+        let table = match kept.iter().find(|entry| is_known(entry)) {
+            Some((_, table)) => table.clone(),
+            None => {
                 let rows = rows.next_power_of_two().max(LEAST_ROWS);
                 let numbers: Vec<usize> = (0..rows).collect();
                 let values = TensorData::new((self.values)(&numbers, width), [rows, width]);
                 let table = Tensor::from_data(values, &plain);
-                match known {
-                    Some(place) => {
-                        kept[place].1 = table;
-                        place
-                    }
-                    None => {
-                        kept.push((plain, table));
-                        kept.len() - 1
-                    }
-                }
+                kept.push((plain, table.clone()));
+                table
             }
         };
-        let table = kept[place].1.clone();
         if device.is_autodiff() {
             Tensor::from_inner(table)
         } else {

@@ -15,59 +15,39 @@ use safetensors::SafeTensors;
 use crate::Error;
 use crate::checkpoint::{Files, take};
 
-/// Renaming rules: (pattern in PyTorch's name, our name; pattern in our name, PyTorch's name). The store itself
-/// converts layouts of linear layers and names of norms.
-const RENAMES: [(&str, &str, &str, &str); 10] = [
+/// Renaming rules: (pattern in PyTorch's name, our name). The store itself converts layouts of linear layers and names
+/// of norms. [`RENAMES_BACK`] has the inverse of each rule.
+const RENAMES: [(&str, &str); 10] = [
+    (r"in_proj_(weight|bias)$", "in_proj.$1"),
+    (r"time_embed\.0\.", "hidden."),
+    (r"time_embed\.2\.", "output."),
+    (r"^pred\.0\.", "pred.hidden."),
+    (r"^pred\.2\.", "pred.output."),
+    (r"seqTransEncoder\.", "sequence_encoder."),
+    (r"seqTransDecoder\.", "sequence_decoder."),
+    (r"^input_process\.poseEmbedding\.", "pose_embedding."),
+    (r"^output_process\.poseFinal\.", "pose_final."),
+    (r"^emb_proj\.1\.", "text_emb_proj."),
+];
+
+/// The inverse of [`RENAMES`]: (pattern in our name, PyTorch's name).
+const RENAMES_BACK: [(&str, &str); 10] = [
+    (r"in_proj\.(weight|bias)$", "in_proj_$1"),
     (
-        r"in_proj_(weight|bias)$",
-        "in_proj.$1",
-        r"in_proj\.(weight|bias)$",
-        "in_proj_$1",
-    ),
-    (
-        r"time_embed\.0\.",
-        "hidden.",
         r"(embed_timestep|embed_prog_ind)\.hidden\.",
         "$1.time_embed.0.",
     ),
     (
-        r"time_embed\.2\.",
-        "output.",
         r"(embed_timestep|embed_prog_ind)\.output\.",
         "$1.time_embed.2.",
     ),
-    (r"^pred\.0\.", "pred.hidden.", r"^pred\.hidden\.", "pred.0."),
-    (r"^pred\.2\.", "pred.output.", r"^pred\.output\.", "pred.2."),
-    (
-        r"seqTransEncoder\.",
-        "sequence_encoder.",
-        r"sequence_encoder\.",
-        "seqTransEncoder.",
-    ),
-    (
-        r"seqTransDecoder\.",
-        "sequence_decoder.",
-        r"sequence_decoder\.",
-        "seqTransDecoder.",
-    ),
-    (
-        r"^input_process\.poseEmbedding\.",
-        "pose_embedding.",
-        r"^pose_embedding\.",
-        "input_process.poseEmbedding.",
-    ),
-    (
-        r"^output_process\.poseFinal\.",
-        "pose_final.",
-        r"^pose_final\.",
-        "output_process.poseFinal.",
-    ),
-    (
-        r"^emb_proj\.1\.",
-        "text_emb_proj.",
-        r"^text_emb_proj\.",
-        "emb_proj.1.",
-    ),
+    (r"^pred\.hidden\.", "pred.0."),
+    (r"^pred\.output\.", "pred.2."),
+    (r"sequence_encoder\.", "seqTransEncoder."),
+    (r"sequence_decoder\.", "seqTransDecoder."),
+    (r"^pose_embedding\.", "input_process.poseEmbedding."),
+    (r"^pose_final\.", "output_process.poseFinal."),
+    (r"^text_emb_proj\.", "emb_proj.1."),
 ];
 
 /// The weights of a network as a safetensors file under PyTorch's names. Equal weights give equal
@@ -79,7 +59,7 @@ pub fn to_safetensors<M: Module>(network: &M, path: &Path) -> Result<Vec<u8>, Er
     let mut store = SafetensorsStore::from_bytes(None)
         .clear_metadata()
         .with_to_adapter(BurnToPyTorchAdapter);
-    for (_, _, ours, theirs) in RENAMES {
+    for (ours, theirs) in RENAMES_BACK {
         store = store.with_key_remapping(ours, theirs);
     }
     store
@@ -121,10 +101,7 @@ pub fn from_safetensors_named<M: Module>(
     if !prefix.is_empty() {
         store = store.with_key_remapping(format!("^{}", prefix.replace('.', r"\.")), "");
     }
-    for (theirs, ours, _, _) in RENAMES {
-        store = store.with_key_remapping(theirs, ours);
-    }
-    for (theirs, ours) in names {
+    for (theirs, ours) in RENAMES.iter().chain(names) {
         store = store.with_key_remapping(*theirs, *ours);
     }
     let Err(problem) = store.apply_to(network) else {

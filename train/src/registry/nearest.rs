@@ -84,7 +84,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         condition: dataset.condition().map(str::to_owned),
     };
     let triplets = run.join(TRIPLETS);
-    let made = recording::record(dataset.root(), &triplets, &settings, &context)?;
+    let (made, _) = recording::record(dataset.root(), &triplets, &settings, &context)?;
     let rows: Vec<TripletRow> = made.read(None)?;
     let instructions: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     let (triplets, instructions) = (rows.len(), instructions.len());

@@ -7,14 +7,14 @@ use burn::tensor::{Device, Tensor};
 use datasets_spec::Skeleton;
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::normalise::{NormalizedFrame, Normalizer};
+use kinematics::normalise::NormalizedFrame;
 use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 
 use super::item::EditItem;
 use super::noise::Noise;
 use super::sampler::{Condition, Guide, Sampler};
 use super::settings::{EditSettings, EditTimes};
-use super::windows::{WindowModel, WindowRequest, edit_windows};
+use super::windows::{WindowRequest, edit_windows};
 use crate::checkpoint::{RunRecord, Slot, open_for_use};
 use crate::config::{GuidanceTarget, narrowed};
 use crate::coordinator::TrainedCoordinator;
@@ -73,11 +73,6 @@ impl Editor {
         self.mix_hash(hash);
         self.poses = Some(net);
         self
-    }
-
-    /// Whether the editor has a pose network.
-    pub fn has_poses(&self) -> bool {
-        self.poses.is_some()
     }
 
     /// Mixes the hash of a pose network or coordinator into the editor's hash, because the network changes the edits.
@@ -156,11 +151,6 @@ impl Editor {
         &self.record
     }
 
-    /// The normaliser of the model's windows.
-    pub fn normalizer(&self) -> &Normalizer {
-        &self.record.config.normalizer
-    }
-
     /// Hash of the weights, including those of a coordinator and a pose network: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
@@ -187,15 +177,9 @@ impl Editor {
         times: &mut EditTimes,
     ) -> Result<Vec<Vec<KeypointFrame>>, Error> {
         times.window = self.record.config.train.window;
-        let mut generator = Generator {
-            editor: self,
-            weights: self.model.denoiser.prepared_weights(session.arithmetic),
-            settings,
-            session,
-            times,
-        };
+        let weights = self.model.denoiser.prepared_weights(session.arithmetic);
         edit_windows(
-            &mut generator,
+            &mut |requests| self.generate(requests, &weights, settings, session, times),
             &self.record.config,
             items,
             skeleton,
@@ -203,31 +187,22 @@ impl Editor {
             session,
         )
     }
-}
 
-struct Generator<'a> {
-    editor: &'a Editor,
-    weights: PreparedWeights,
-    settings: &'a EditSettings,
-    session: &'a Session<'a>,
-    times: &'a mut EditTimes,
-}
-
-impl WindowModel for Generator<'_> {
-    fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
-        let Self {
-            editor,
-            weights,
-            settings,
-            session,
-            ..
-        } = self;
-        let config = &editor.record.config;
+    /// Generates a window for each request, as [`edit_windows`] asks for.
+    fn generate(
+        &self,
+        requests: &mut [WindowRequest<'_>],
+        weights: &PreparedWeights,
+        settings: &EditSettings,
+        session: &Session<'_>,
+        times: &mut EditTimes,
+    ) -> Result<Vec<f32>, Error> {
+        let config = &self.record.config;
         let begun = session.secs();
         let num_rows = requests.len();
         let (frames, keypoints) = (config.train.window, config.train.keypoints);
         let window = |values: Vec<f32>, frames: usize| -> Tensor<3> {
-            send(values, [num_rows, frames, 3 * keypoints], &editor.device)
+            send(values, [num_rows, frames, 3 * keypoints], &self.device)
         };
         let original: Vec<f32> = requests
             .iter()
@@ -235,7 +210,7 @@ impl WindowModel for Generator<'_> {
             .collect();
         let fixed: Option<Vec<[NormalizedFrame; FIXED_FRAMES]>> =
             requests.iter().map(|request| request.fixed).collect();
-        let texts = config.text.texts(editor.vectors.as_ref())?.batch(
+        let texts = config.text.texts(self.vectors.as_ref())?.batch(
             requests
                 .iter()
                 .map(|request| request.window.instruction.as_deref().unwrap_or_default()),
@@ -246,7 +221,7 @@ impl WindowModel for Generator<'_> {
                 let numbers = fixed.into_iter().flatten().flatten().collect();
                 window(narrowed(numbers, keypoints), FIXED_FRAMES)
             }),
-            text: editor.model.text_vectors(&texts, num_rows, &editor.device),
+            text: self.model.text_vectors(&texts, num_rows, &self.device),
             progress: requests
                 .iter()
                 .map(|request| request.window.progress)
@@ -254,16 +229,16 @@ impl WindowModel for Generator<'_> {
         };
         let diffusion = &config.train.diffusion;
         let clock = || session.secs();
-        let coordinator = editor.coordinator.as_ref().map(|coordinator| Guide {
+        let coordinator = self.coordinator.as_ref().map(|coordinator| Guide {
             network: &coordinator.model,
             config: settings.coordinator,
             clock: &clock,
             secs: Cell::new(0.0),
         });
         let sampler = Sampler {
-            denoiser: &editor.model.denoiser,
+            denoiser: &self.model.denoiser,
             weights,
-            schedule: &editor.schedule,
+            schedule: &self.schedule,
             prediction: diffusion.prediction,
             extrapolation: config.extrapolation.as_ref(),
             clip: diffusion.clip,
@@ -273,8 +248,8 @@ impl WindowModel for Generator<'_> {
         let mut noise = Noise::new(
             requests.iter_mut().map(|request| &mut request.rng),
             [frames, 3 * keypoints],
-            1 + editor.schedule.len(),
-            &editor.device,
+            1 + self.schedule.len(),
+            &self.device,
         )
         .scaled(settings.temperature)
         .shaped(
@@ -284,10 +259,10 @@ impl WindowModel for Generator<'_> {
         let x = sampler.sample(&condition, |_| noise.step(), |_, _| {});
         let generated = read(x);
         let guided = coordinator.map_or(0.0, |guide| guide.secs.get());
-        self.times.coordinator_secs += guided;
-        self.times.diffusion_secs += session.secs() - begun - guided;
-        self.times.num_windows += num_rows;
-        self.times.num_batches += 1;
+        times.coordinator_secs += guided;
+        times.diffusion_secs += session.secs() - begun - guided;
+        times.num_windows += num_rows;
+        times.num_batches += 1;
         Ok(widened(generated, keypoints))
     }
 }

@@ -124,7 +124,15 @@ impl EditItem {
         let to_model = model_fps.get() / motion.fps().get();
         let spans = spans(num_frames, motion.len(), to_model, instructions);
         check_heard(&spans, instructions, model_fps).map_err(&refused)?;
-        let places = places_of_spans(&spans, num_frames, editor);
+        let overlap = editor.train.diffusion.overlap;
+        let places: Vec<Place> = spans
+            .iter()
+            .flat_map(|span| {
+                // Unchanged windows do not overlap earlier output.
+                let overlap = span.instruction.map_or(0, |_| overlap);
+                places(span, num_frames, editor.train.window, overlap)
+            })
+            .collect();
         let needed = places.iter().map(|place| place.start + editor.train.window);
         poses.resize(needed.max().unwrap_or(0).max(num_frames), last_pose);
         let texts: Vec<Arc<str>> = instructions
@@ -350,20 +358,6 @@ struct Place {
     start: usize,
     used: usize,
     instruction: Option<usize>,
-}
-
-/// The windows that generate the frames of all spans, for a motion of `num_frames` frames.
-fn places_of_spans(spans: &[Span], num_frames: usize, editor: &EditorRecord) -> Vec<Place> {
-    spans
-        .iter()
-        .flat_map(|span| {
-            // Unchanged windows do not overlap earlier output.
-            let overlap = span
-                .instruction
-                .map_or(0, |_| editor.train.diffusion.overlap);
-            places(span, num_frames, editor.train.window, overlap)
-        })
-        .collect()
 }
 
 /// The windows that generate the frames of a span, for a motion of `num_frames` frames. Each window except the first

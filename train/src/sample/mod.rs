@@ -13,4 +13,4 @@ pub use self::item::{EditItem, EditWindow, TimedInstruction, model_frames};
 pub(crate) use self::item::{check_ranges, covering};
 pub use self::sampler::{Condition, Guide, Sampler, reverse};
 pub use self::settings::{EditSettings, EditTimes, FitMethod};
-pub use self::windows::{WindowModel, WindowRequest, edit_windows};
+pub use self::windows::{Generate, WindowRequest, edit_windows};

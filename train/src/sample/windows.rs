@@ -26,23 +26,17 @@ pub struct WindowRequest<'a> {
     pub rng: Rng,
 }
 
-/// A model that generates windows.
-pub trait WindowModel {
-    /// Generates a window for each request, `[B, W, 84]` normalised. A request for a motion's first window never shares
-    /// a call with requests for later windows.
-    ///
-    /// # Errors
-    /// A window cannot be made.
-    fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error>;
-}
+/// Makes a window for each request, `[B, W, 84]` normalised. A request for a motion's first window never shares a call
+/// with requests for later windows.
+pub type Generate<'a> = dyn FnMut(&mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> + 'a;
 
-/// Edits motions window by window: requests windows from `model`, keeps those without an instruction, and joins all.
+/// Edits motions window by window: requests windows from `generate`, keeps those without an instruction, and joins all.
 /// Each result holds the keypoints of one item in metres at the model's rate.
 ///
 /// # Errors
-/// An item has no window or a window of another length, the session is stopped, or `model` fails.
+/// An item has no window or a window of another length, the session is stopped, or `generate` fails.
 pub fn edit_windows(
-    model: &mut dyn WindowModel,
+    generate: &mut Generate<'_>,
     record: &EditorRecord,
     items: &[EditItem],
     skeleton: &Skeleton,
@@ -73,7 +67,7 @@ pub fn edit_windows(
                 .iter()
                 .map(|&item| joining.request(item, window_index))
                 .collect();
-            let generated = model.generate(&mut requests)?;
+            let generated = generate(&mut requests)?;
             joining.push(&requests, &generated);
             progress.advance(chunk.len() as u64);
         }

@@ -1,13 +1,10 @@
 //! Training of the body-part coordinator on a dataset.
 
-use compose::{COMPOSED, ComposeConfig};
-use datasets_spec::Dataset;
+use compose::COMPOSED;
 
 use super::Streams;
-use crate::checkpoint::Start;
 use crate::coordinator::{self, CoordinatorConfig, Segments};
 use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
-use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
 pub(crate) const MODEL: ModelKind = ModelKind {
@@ -20,18 +17,12 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 };
 
 /// Trains the coordinator on segments of the motions that an editor is trained on, or continues its run.
-///
-/// # Errors
-/// As [`coordinator::train_coordinator`], or the dataset cannot be read.
-pub fn train_coordinator<'a>(
-    dataset: &Dataset,
-    start: impl Into<Start<'a>>,
-    config: &CoordinatorConfig,
-    compose: &ComposeConfig,
-    session: &Session<'_>,
-) -> Result<TrainReport, Error> {
-    let start = start.into();
-    let mut compose = compose.clone();
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
+    request.change(&mut config.run);
+    request.split(&mut config.run, &config.model, 1 + config.window);
+    let (dataset, start) = (request.dataset, request.start);
+    let mut compose = request.compose.clone();
     if compose.mirrored_ratio <= 0.0 {
         compose.mirrored_ratio = config.mirrored_ratio;
     }
@@ -46,20 +37,6 @@ pub fn train_coordinator<'a>(
         compose: &streams.compose,
     };
     let num_short = streams.train.num_short() as u64;
-    let report = coordinator::train_coordinator(start, config, segments, session)?;
-    Ok(report.without(num_short))
-}
-
-fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
-    let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
-    request.change(&mut config.run);
-    request.split(&mut config.run, &config.model, 1 + config.window);
-    let report = train_coordinator(
-        request.dataset,
-        request.start,
-        &config,
-        request.compose,
-        session,
-    )?;
-    Ok(Trained::from_report(report, request.start.run))
+    let report = coordinator::train_coordinator(start, &config, segments, session)?;
+    Ok(Trained::from_report(report.without(num_short), start.run))
 }

@@ -1,12 +1,11 @@
 //! Training of the pose network on a dataset.
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Dataset, Motion, Split};
+use datasets_spec::{Motion, Split};
 
 use super::MOTIONS;
-use crate::checkpoint::Start;
 use crate::error::motion_error;
-use crate::j2s::{self, J2sConfig, J2sReport};
+use crate::j2s::{self, J2sConfig};
 use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::{Error, Session};
 
@@ -21,15 +20,10 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 
 /// Trains the pose network on the motions of the training split, and measures it on those of the
 /// validation split.
-///
-/// # Errors
-/// As [`j2s::train_j2s`], or the dataset cannot be read.
-pub fn train_j2s<'a>(
-    dataset: &Dataset,
-    start: impl Into<Start<'a>>,
-    config: &J2sConfig,
-    session: &Session<'_>,
-) -> Result<J2sReport, Error> {
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&J2sConfig::of(request.preset))?;
+    request.change(&mut config.run);
+    let (dataset, start) = (request.dataset, request.start);
     let motions = |split: Split| -> Result<Vec<Motion>, Error> {
         let rows: Vec<MotionRow> = dataset.read(Some(split))?;
         rows.iter()
@@ -38,20 +32,14 @@ pub fn train_j2s<'a>(
     };
     let (train, val) = (motions(Split::Train)?, motions(Split::Val)?);
     let (skeleton, hash) = (dataset.skeleton()?, dataset.content_hash(&MOTIONS));
-    j2s::train_j2s(start, config, [&train, &val], &skeleton, &hash, session)
-}
-
-fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
-    let mut config = request.settings(&J2sConfig::of(request.preset))?;
-    request.change(&mut config.run);
-    let report = train_j2s(request.dataset, request.start, &config, session)?;
+    let report = j2s::train_j2s(start, &config, [&train, &val], &skeleton, &hash, session)?;
     let mut lines = vec![
         format!(
             "{} steps, loss {:.5} -> {:.5}; in {}",
             report.steps,
             report.loss[0],
             report.loss[1],
-            request.start.run.display()
+            start.run.display()
         ),
         "method                    keypoints mm  rotations deg    frames/s".to_owned(),
     ];

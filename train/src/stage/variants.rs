@@ -261,7 +261,10 @@ pub fn pair_variants(
     let motions = dataset.manifest().plan(MotionRow::TABLE);
     let plan = match dataset.condition() {
         None => plan_hash("variants-1", &(motions, config)),
-        Some(condition) => plan_hash("variants-1", &(motions, config, condition)),
+        Some(_) => {
+            let chosen = dataset.content_hash(&[MotionRow::TABLE]);
+            plan_hash("variants-1", &(chosen, config))
+        }
     };
     let report = |dataset, counts| VariantReport {
         dataset,

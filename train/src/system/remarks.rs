@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::error::json_error;
+use crate::fit::TextRecord;
 
 /// File of warnings beside a table of edits.
 const REMARKS: &str = "remarks.json";
@@ -30,6 +31,19 @@ pub struct Remarks {
 }
 
 impl Remarks {
+    /// Warnings about texts for a learned encoder; none for a frozen one.
+    pub(crate) fn of_texts(encoder: &TextRecord, texts: &[&str]) -> Self {
+        let TextRecord::Learned(vocabulary) = encoder else {
+            return Self::default();
+        };
+        let unknown = texts.iter().flat_map(|text| vocabulary.unknown_words(text));
+        Self {
+            num_short: 0,
+            num_cut: texts.iter().filter(|text| vocabulary.cuts(text)).count(),
+            unknown_words: unknown.collect(),
+        }
+    }
+
     /// Reads the warnings beside a table of edits. Without the file, as for tables made by other programs, there are no
     /// warnings.
     ///

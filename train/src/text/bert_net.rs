@@ -39,58 +39,51 @@ const PARTS: [(&str, &str, &str); 8] = [
 ];
 
 /// Supported networks. They differ in tensor names, and DistilBERT has no segment embeddings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum BertKind {
     /// Also the kind of MiniLM.
+    #[default]
     Bert,
     DistilBert,
 }
 
 /// Activation of the feed-forward layers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Activation {
+    #[default]
     Gelu,
     GeluTanh,
     Relu,
 }
 
-/// Sizes of a network from its `config.json`.
-#[derive(Clone, Debug, PartialEq)]
+/// Sizes of a network from its `config.json`, whose fields the two kinds name differently.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub(super) struct BertConfig {
+    #[serde(skip)]
     kind: BertKind,
+    #[serde(rename = "vocab_size")]
     pub(super) num_tokens: usize,
     /// Maximum number of tokens in a row, including start and end.
+    #[serde(rename = "max_position_embeddings")]
     pub(super) context: usize,
     /// Number of segments for pairs of texts; none for DistilBERT.
+    #[serde(rename = "type_vocab_size", default = "two_segments")]
     num_segments: usize,
+    #[serde(rename = "hidden_size", alias = "dim")]
     pub(super) width: usize,
+    #[serde(rename = "num_hidden_layers", alias = "n_layers")]
     num_layers: usize,
+    #[serde(rename = "num_attention_heads", alias = "n_heads")]
     pub(super) num_heads: usize,
+    #[serde(rename = "intermediate_size", alias = "hidden_dim")]
     feed_forward: usize,
-    pub(super) activation: Activation,
-    /// Added to the variance in layer norms.
-    pub(super) norm_epsilon: f64,
-}
-
-/// The fields of `config.json`, which the two kinds name differently.
-#[derive(Deserialize)]
-struct Described {
-    vocab_size: usize,
-    max_position_embeddings: usize,
-    #[serde(default = "two_segments")]
-    type_vocab_size: usize,
-    #[serde(alias = "dim")]
-    hidden_size: usize,
-    #[serde(alias = "n_layers")]
-    num_hidden_layers: usize,
-    #[serde(alias = "n_heads")]
-    num_attention_heads: usize,
-    #[serde(alias = "hidden_dim")]
-    intermediate_size: usize,
     #[serde(alias = "activation")]
     hidden_act: String,
-    #[serde(default = "tiny_epsilon")]
-    layer_norm_eps: f64,
+    #[serde(skip)]
+    pub(super) activation: Activation,
+    /// Added to the variance in layer norms.
+    #[serde(rename = "layer_norm_eps", default = "tiny_epsilon")]
+    pub(super) norm_epsilon: f64,
     position_embedding_type: Option<String>,
 }
 
@@ -121,38 +114,28 @@ impl BertConfig {
             }
             None => return Err(refused("it has no model_type".to_owned())),
         };
-        let found: Described = serde_json::from_slice(document).map_err(json)?;
-        let position = found.position_embedding_type.as_deref();
+        let mut config: Self = serde_json::from_slice(document).map_err(json)?;
+        let position = config.position_embedding_type.as_deref();
         if position.is_some_and(|position| position != "absolute") {
             let problem = "position_embedding_type is not absolute".to_owned();
             return Err(refused(problem));
         }
-        let activation = match found.hidden_act.as_str() {
+        config.activation = match config.hidden_act.as_str() {
             "gelu" => Activation::Gelu,
             "gelu_new" | "gelu_fast" | "gelu_pytorch_tanh" => Activation::GeluTanh,
             "relu" => Activation::Relu,
             other => return Err(refused(format!("activation {other} is not known"))),
         };
-        let (width, heads) = (found.hidden_size, found.num_attention_heads);
+        let (width, heads) = (config.width, config.num_heads);
         if heads == 0 || width == 0 || !width.is_multiple_of(heads) {
             let problem = format!("its width is {width}, and it has {heads} attention heads");
             return Err(refused(problem));
         }
-        Ok(Self {
-            kind,
-            num_tokens: found.vocab_size,
-            context: found.max_position_embeddings,
-            num_segments: match kind {
-                BertKind::Bert => found.type_vocab_size,
-                BertKind::DistilBert => 0,
-            },
-            width,
-            num_layers: found.num_hidden_layers,
-            num_heads: heads,
-            feed_forward: found.intermediate_size,
-            activation,
-            norm_epsilon: found.layer_norm_eps,
-        })
+        config.kind = kind;
+        if kind == BertKind::DistilBert {
+            config.num_segments = 0;
+        }
+        Ok(config)
     }
 
     /// The tensors of the network: their names in the file and in this program, and their shapes in PyTorch.

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use remote_store::hub::{Hub, HubCache};
-use serde::{Deserialize, Serialize};
 
 use super::FrozenText;
 use super::files::{WEIGHTS, file_in, first, read_weights};
@@ -22,8 +21,7 @@ const TOKENIZERS: [&str; 3] = [
 ];
 
 /// A published CLIP model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClipModel {
     /// ViT-B/32, used by MotionReFit and MDM; its text vectors have width 512.
     VitB32,
@@ -32,17 +30,6 @@ pub enum ClipModel {
 }
 
 impl ClipModel {
-    /// All supported models.
-    pub const ALL: [ClipModel; 2] = [Self::VitB32, Self::VitL14];
-
-    /// The model's name in configurations.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::VitB32 => "vit-b32",
-            Self::VitL14 => "vit-l14",
-        }
-    }
-
     /// Hugging Face repo of the model.
     pub fn repo(self) -> &'static str {
         match self {
@@ -196,7 +183,7 @@ impl FrozenText for ClipEncoder {
                 .chunks_exact(width)
                 .map(<[f32]>::to_vec)
                 .collect(),
-            BertVectors::States => read(self.network.hidden(&tokens, None))
+            BertVectors::States => read(self.network.hidden(&tokens))
                 .chunks_exact(tokens.width * width)
                 .zip(self.network.lengths(&tokens))
                 .map(|(row, length)| row[..length * width].to_vec())

@@ -102,38 +102,30 @@ impl Package {
 
     fn document(&mut self, name: &str) -> Result<Vec<u8>, Error> {
         let mut content = Vec::new();
-        self.read(name, |from, path| {
-            from.take(MAX_DOCUMENT_LEN)
-                .read_to_end(&mut content)
-                .map_err(Error::io("read", path))?;
-            Ok(())
-        })?;
+        let (from, path) = self.file(name)?;
+        let read = from.take(MAX_DOCUMENT_LEN).read_to_end(&mut content);
+        read.map_err(Error::io("read", path))?;
         Ok(content)
     }
 
     fn copy(&mut self, name: &str, to: &Path) -> Result<(), Error> {
         let mut file = File::create(to).map_err(Error::io("create", to))?;
-        self.read(name, |from, _| {
-            io::copy(from, &mut file).map_err(Error::io("write", to))?;
-            Ok(())
-        })?;
+        let (mut from, _) = self.file(name)?;
+        io::copy(&mut from, &mut file).map_err(Error::io("write", to))?;
         file.sync_all().map_err(Error::io("sync", to))
     }
 
-    fn read(
-        &mut self,
-        name: &str,
-        act: impl FnOnce(&mut dyn Read, &Path) -> Result<(), Error>,
-    ) -> Result<(), Error> {
+    /// A file, and its path in errors.
+    fn file(&mut self, name: &str) -> Result<(Box<dyn Read + '_>, PathBuf), Error> {
         match self {
             Self::Folder(folder) => {
                 let path = folder.join(name);
-                let mut file = File::open(&path).map_err(Error::io("open", &path))?;
-                act(&mut file, &path)
+                let file = File::open(&path).map_err(Error::io("open", &path))?;
+                Ok((Box::new(file), path))
             }
             Self::Wheel { path, zip } => {
-                let mut file = zip.by_name(name).map_err(|error| failed(path, error))?;
-                act(&mut file, path)
+                let file = zip.by_name(name).map_err(|error| failed(path, error))?;
+                Ok((Box::new(file), path.clone()))
             }
         }
     }

@@ -89,11 +89,6 @@ impl ClipTokenizer {
         })
     }
 
-    /// Id of the end token.
-    pub fn end(&self) -> i32 {
-        self.end
-    }
-
     /// Number of tokens in the vocabulary, including start and end.
     pub fn num_tokens(&self) -> usize {
         self.tokenizer.get_vocab_size(true)

@@ -21,10 +21,9 @@ use crate::model::tmed::{Condition, TmedModel};
 use crate::model::weights::Networks;
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
-use crate::system::Setting::{Count, Flag, Number};
 use crate::system::{
     EditConfig, EditInput, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
-    in_groups, named_with,
+    changed, in_groups, named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -139,17 +138,15 @@ fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Resu
     let usual = &usual.as_ref().unwrap_or(trained).diffusion;
     let steps = usual.steps(usual.edit_steps)?.timesteps().len();
     let from_source = settings.start == EditStart::Source && usual.start == EditStart::Noise;
+    let (weight, usual_weight) = (settings.source_guidance, usual.source_guidance);
     let changes = [
-        ("guidance", Number(settings.guidance, usual.guidance)),
-        (
-            "source guidance",
-            Number(settings.source_guidance, usual.source_guidance),
-        ),
-        ("temperature", Number(settings.temperature, 1.0)),
-        ("steps", Count(settings.steps.timesteps().len(), steps)),
-        ("from source", Flag(from_source)),
+        changed("guidance", settings.guidance, usual.guidance),
+        changed("source guidance", weight, usual_weight),
+        changed("temperature", settings.temperature, 1.0),
+        changed("steps", settings.steps.timesteps().len(), steps),
+        from_source.then(|| "from source".to_owned()),
     ];
-    Ok(named_with(name, slot, &changes))
+    Ok(named_with(name, slot, changes))
 }
 
 struct Question<'a> {
@@ -250,7 +247,6 @@ impl TmedSystem {
                 )
             },
             |_| noise.step(),
-            |_, _| {},
         );
         let values = read(clean);
         Ok(values.as_chunks::<NUM_FEATURES>().0.to_vec())
@@ -323,11 +319,7 @@ impl EditSystem for TmedSystem {
     }
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
-        Remarks {
-            num_cut: self.record.text.num_cut(texts),
-            unknown_words: self.record.text.unknown_words(texts),
-            ..Remarks::default()
-        }
+        Remarks::of_texts(&self.record.text, texts)
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {

@@ -68,7 +68,8 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let dataset_hash = dataset.content_hash(tables);
     let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
     let encoder = request.text_encoder;
-    let vectors = encoder.token_embeddings(run, &all, &config.text, session)?;
+    let known = request.start.known().unwrap_or(run);
+    let vectors = encoder.token_embeddings(known, &all, &config.text, session)?;
     let corpus = TmedCorpus {
         train: &*train,
         val: &*val,

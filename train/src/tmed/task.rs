@@ -90,7 +90,8 @@ pub fn train_tmed<'a>(
         None => statistics_of(&corpus, config)?,
     };
     let instructions = corpus.instructions.iter().map(String::as_str);
-    let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
+    let known = (start, known_text);
+    let text = TextRecord::chosen(&config.text, known, instructions, corpus.vectors)?;
     let record = TmedRecord {
         train: config.clone(),
         statistics,
@@ -120,6 +121,7 @@ pub fn train_tmed<'a>(
         ..sampler
     };
     let schedule = Schedule::cosine(config.diffusion.num_steps)?;
+    let training = |first, count| sampler.draw(first, count);
     let validation = |first, count| val_sampler.draw(first, count);
     let task = Task::<TmedModel, ClipBatch> {
         kind: KIND,
@@ -128,17 +130,14 @@ pub fn train_tmed<'a>(
         // The loss is a mean over frames, not clips, and positions can depend on the longest source.
         of_thread: None,
         epoch_len: corpus.train.num_clips(),
-        draw: &|step, micro| {
-            let run = &config.run;
-            run.batches(step, micro, |first, count| sampler.draw(first, count))
-        },
+        network: &|device| record.model(device),
+        draw: &config.run.batches(training),
         loss: &|model, batch, device, pass| {
             objective::loss(model, batch, config, &schedule, device, pass)
         },
         validation: config.run.validation(config.val_clips, validation)?,
     };
-    let network = |device: &Device| record.model(device);
-    Ok(train(&task, network, &run, session)?.1)
+    train(&task, &run, session)
 }
 
 fn statistics_of(corpus: &TmedCorpus<'_>, config: &TmedConfig) -> Result<FeatureStatistics, Error> {

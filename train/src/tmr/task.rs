@@ -43,7 +43,7 @@ pub fn train_tmr<'a>(
     config.check()?;
     let start = start.into();
     let fitted: Option<TmrRecord> = start.fitted(KIND)?;
-    let (vocabulary, features) = taken_over(fitted, config, &corpus)?;
+    let (vocabulary, features) = taken_over((start, fitted), config, &corpus)?;
     let prepared = |split, what| clips(split, what, &vocabulary, config);
     let train = prepared(corpus.train, "training split of the encoder")?;
     let val = prepared(corpus.val, "validation split of the encoder")?;
@@ -78,6 +78,7 @@ pub fn train_tmr<'a>(
         run: config.run,
         of_thread: None,
         epoch_len: train.len() as u64,
+        network: &|device| config.network(&record.vocabulary, device),
         // The contrastive loss compares all pairs of a batch, so a batch is not split.
         draw: &|step, _| Ok(vec![(1.0, sampler.draw(step))]),
         loss: &|model, batch, device, pass| batch_loss(model, batch, config, device, pass),
@@ -86,19 +87,19 @@ pub fn train_tmr<'a>(
             .map(|batch| (batch.lengths.len(), batch))
             .collect(),
     };
-    let network = |device: &Device| config.network(&record.vocabulary, device);
-    Ok(trainer::train(&task, network, &run, session)?.1)
+    trainer::train(&task, &run, session)
 }
 
 /// The vocabulary and the feature statistics of the run whose weights are taken over. Without such a run, the words of
 /// the captions, and no statistics yet.
 fn taken_over(
-    fitted: Option<TmrRecord>,
+    (start, fitted): (Start<'_>, Option<TmrRecord>),
     config: &TmrConfig,
     corpus: &CaptionedCorpus<'_>,
 ) -> Result<(Vocabulary, Option<FeatureStats>), Error> {
     match fitted {
         Some(fitted) if fitted.features.recipe == config.features => {
+            fitted.vocabulary.check_kept("text", &config.text, start)?;
             Ok((fitted.vocabulary, Some(fitted.features)))
         }
         Some(fitted) => {

@@ -17,6 +17,8 @@ pub(crate) struct Task<'a, M, B> {
     /// threads busy. `None` if the loss is not a mean over samples: then its value depends on how a step is split.
     pub(crate) of_thread: Option<usize>,
     pub(crate) epoch_len: u64,
+    /// Builds the networks on a device.
+    pub(crate) network: &'a (dyn Fn(&Device) -> M + Sync),
     /// Draws the micro-batches of a step, each with its share of the step's loss. The shares add up to one. The data
     /// depend only on the run's seed and the step. The arguments are the step and the largest size of a micro-batch.
     pub(crate) draw: &'a (dyn Fn(u64, usize) -> Result<Vec<(f64, B)>, Error> + Sync),

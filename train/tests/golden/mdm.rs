@@ -13,14 +13,14 @@ use train::model::pass::{Arithmetic, Pass};
 use train::schedule::Schedule;
 
 use super::{Golden, check};
+use crate::shared::{frozen_text, opened, plain_stats, refused};
 
 fn network(golden: &Golden) -> Mdm {
     let config = golden.network("latent_dim", "ff_size");
     let (_, shape) = golden.values("in.x");
     let text_width = golden.size("clip_dim");
-    let mut network = Mdm::new(&config, shape[1], text_width, &Device::flex());
-    golden.load(&mut network, "weights.");
-    network
+    let network = Mdm::new(&config, shape[1], text_width, &Device::flex());
+    golden.load(network, "weights.")
 }
 
 /// Reads the recorded `[B, F, 1, T]` as `[B, T, F]`.
@@ -118,11 +118,8 @@ fn golden_mdm_inpainting() {
 #[test]
 fn golden_mdm_is_imported_as_an_editor() {
     use train::exchange::{MdmArgs, import_mdm};
-    use train::features::{FeatureRecipe, FeatureStats};
-    use train::fit::TextRecord;
-    use train::registry::open_system;
-    use train::system::{EditConfig, SystemSource};
-    use train::text::source::TextEncoderSource;
+    use train::features::FeatureRecipe;
+    use train::system::EditConfig;
 
     let Some(golden) = Golden::find("mdm_denoiser") else {
         return;
@@ -132,15 +129,8 @@ fn golden_mdm_is_imported_as_an_editor() {
     let imported = |args: &str, run: &Path| {
         let args: MdmArgs = serde_json::from_str(args).expect("arguments");
         let recipe = FeatureRecipe::HumanMl3d;
-        let stats = FeatureStats {
-            recipe,
-            mean: vec![0.0; recipe.width()],
-            std: vec![1.0; recipe.width()],
-        };
-        let text = TextRecord::Frozen {
-            encoder_hash: "clip".to_owned(),
-            width: golden.size("clip_dim"),
-        };
+        let stats = plain_stats(recipe, recipe.width());
+        let text = frozen_text(golden.size("clip_dim"));
         let (heads, bytes) = (golden.size("num_heads"), bytes.clone());
         let path = Path::new("model.pt");
         import_mdm(run, &args, heads, (stats, text), bytes, path, &device)
@@ -150,10 +140,7 @@ fn golden_mdm_is_imported_as_an_editor() {
     for (args, start, release) in [("{}", 999, 20), (newer, 49, 1)] {
         let dir = tempfile::tempdir().expect("a folder");
         imported(args, dir.path()).expect("imported");
-        let source = SystemSource::best(dir.path(), TextEncoderSource::default());
-        let skeleton = datasets_spec::Skeleton::smplx_neutral();
-        let config = EditConfig::default();
-        let system = open_system(&source, &config, &skeleton, &device).expect("an editor");
+        let system = opened(dir.path(), &EditConfig::default());
         let settings = &system.identity().settings;
         let settings: serde_json::Value = serde_json::from_str(settings).expect("a document");
         assert_eq!(settings["start"], start);
@@ -161,6 +148,6 @@ fn golden_mdm_is_imported_as_an_editor() {
         assert_eq!(settings["guidance"], 2.5);
     }
     let dir = tempfile::tempdir().expect("a folder");
-    let refused = imported(r#"{"arch": "trans_dec"}"#, dir.path()).expect_err("another network");
-    assert!(refused.to_string().contains("trans_dec"), "{refused}");
+    let other = imported(r#"{"arch": "trans_dec"}"#, dir.path());
+    refused(other, "trans_dec");
 }

@@ -14,9 +14,8 @@ fn denoiser(golden: &Golden) -> LatentDenoiser {
     let config = golden.network("latent_dim", "ff_size");
     let positions = golden.values("weights.query_pos.pe").1[0];
     let text_width = golden.size("text_encoded_dim");
-    let mut network = LatentDenoiser::new(&config, text_width, positions, &Device::flex());
-    golden.load(&mut network, "weights.");
-    network
+    let network = LatentDenoiser::new(&config, text_width, positions, &Device::flex());
+    golden.load(network, "weights.")
 }
 
 #[test]
@@ -26,8 +25,8 @@ fn golden_mld_vae() {
     };
     let config = golden.network("latent_dim", "ff_size");
     let positions = golden.values("weights.query_pos_encoder.pe").1[0];
-    let mut vae = MotionVae::new(&config, golden.size("nfeats"), positions, &Device::flex());
-    golden.load(&mut vae, "weights.");
+    let vae = MotionVae::new(&config, golden.size("nfeats"), positions, &Device::flex());
+    let vae = golden.load(vae, "weights.");
 
     let features: Tensor<3> = golden.tensor("in.features");
     let [_, frames, _] = features.dims();
@@ -85,15 +84,14 @@ fn golden_mld_schedule() {
     let denoiser = denoiser(&network);
     let single = |name: &str| golden.tensor::<3>(name).squeeze_dim::<2>(1);
     let (mut trace, pass) = (Vec::new(), Pass::default());
-    ddim.sample(
-        single("in.init"),
-        |z, timestep| {
-            let [with_text, without_text] = ["in.text_cond", "in.text_uncond"]
-                .map(|text| denoiser.forward(z.clone(), &[timestep], single(text), &pass));
-            Ok(guide(with_text, without_text, 7.5))
-        },
-        |z| trace.push(z.clone().unsqueeze_dim::<3>(0)),
-    )
-    .expect("sampled");
-    check(Tensor::cat(trace, 0), &golden, "out.trace", 1e-3);
+    let last = ddim.sample(single("in.init"), |z, timestep| {
+        trace.push(z.clone().unsqueeze_dim::<3>(0));
+        let [with_text, without_text] = ["in.text_cond", "in.text_uncond"]
+            .map(|text| denoiser.forward(z.clone(), &[timestep], single(text), &pass));
+        Ok(guide(with_text, without_text, 7.5))
+    });
+    trace.push(last.expect("sampled").unsqueeze_dim::<3>(0));
+    // The first sample is the noise.
+    let trace = Tensor::cat(trace.split_off(1), 0);
+    check(trace, &golden, "out.trace", 1e-3);
 }

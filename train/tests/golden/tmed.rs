@@ -1,6 +1,5 @@
 //! TMED compared with its released code: features, network, guidance, sampling and loss.
 
-use std::cell::Cell;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
@@ -8,13 +7,10 @@ use glam::{DQuat, DVec3};
 use kinematics::rotation::from_six_d_rows;
 use safetensors::SafeTensors;
 use train::config::Preset;
-use train::fit::TextRecord;
 use train::gaussian::{Respacing, SampleSteps};
 use train::model::pass::Pass;
 use train::model::tmed::{Condition, Places, Tmed};
-use train::registry::open_system;
-use train::system::{EditConfig, SystemSource};
-use train::text::source::TextEncoderSource;
+use train::system::EditConfig;
 use train::tmed::features::{
     FeatureFrame, FeatureStatistics, GROUPS, NUM_FEATURES, features_of_poses, poses_of_features,
 };
@@ -22,21 +18,13 @@ use train::tmed::{TmedConfig, branches, group_loss, guided, import_tmed};
 
 use super::gaussian::step_counts;
 use super::{Golden, check, floats, max_difference, recorded_poses};
+use crate::shared::{frozen_text, opened, refused};
 
 fn network(golden: &Golden) -> Tmed {
     let config = golden.network("latent_dim", "ff_size");
     let (text, features) = (golden.size("text_encoded_dim"), golden.size("nfeats"));
-    let mut network = Tmed::new(&config, text, features, &Device::flex());
-    golden.load(&mut network, "weights.");
-    network
-}
-
-/// Lengths of the rows of a mask: the number of ones, which come first in each row.
-fn lengths(golden: &Golden, name: &str) -> Vec<usize> {
-    let (mask, shape) = golden.values(name);
-    mask.chunks_exact(shape[1])
-        .map(|row| row.iter().sum::<f64>() as usize)
-        .collect()
+    let network = Tmed::new(&config, text, features, &Device::flex());
+    golden.load(network, "weights.")
 }
 
 /// Condition of the case. Targets are positioned after the padded sources, as in the released network.
@@ -45,8 +33,8 @@ fn condition(golden: &Golden) -> Condition {
     let source = golden.tensor::<3>("in.source").swap_dims(0, 1);
     let [rows, frames, _] = source.dims();
     Condition {
-        text_lengths: lengths(golden, "in.text_mask"),
-        source_lengths: lengths(golden, "in.source_mask"),
+        text_lengths: golden.lengths("in.text_mask"),
+        source_lengths: golden.lengths("in.source_mask"),
         places: Places {
             text: text.dims()[1],
             source: vec![frames; rows],
@@ -65,7 +53,7 @@ fn golden_tmed_denoiser_and_guidance() {
     let forward = |condition: &Condition| {
         network.forward(
             golden.tensor("in.x"),
-            &lengths(&golden, "in.target_mask"),
+            &golden.lengths("in.target_mask"),
             &golden.indices("in.t"),
             condition,
             &Pass::default(),
@@ -88,7 +76,7 @@ fn golden_tmed_denoiser_and_guidance() {
     };
     check(forward(&cut), &golden, "out.x0", 5e-5);
 
-    let frames = lengths(&golden, "in.guide.target_mask");
+    let frames = golden.lengths("in.guide.target_mask");
     for weights in golden.between("out.guided_t", "") {
         let name = format!("out.guided_t{weights}");
         let (text, source) = weights.split_once("_m").expect("two weights");
@@ -107,9 +95,9 @@ fn golden_tmed_denoiser_and_guidance() {
 fn guided_condition(golden: &Golden, text: f64, source: f64) -> Condition {
     let names = ["in.guide.text_uncond", "in.guide.text_cond"];
     let asked: [Tensor<3>; 2] = names.map(|name| golden.tensor(name));
-    let asked_lengths = names.map(|name| lengths(golden, &format!("{name}_mask"))[0]);
+    let asked_lengths = names.map(|name| golden.lengths(&format!("{name}_mask"))[0]);
     let given = golden.tensor::<3>("in.guide.source").swap_dims(0, 1);
-    let seen = lengths(golden, "in.guide.source_mask")[0];
+    let seen = golden.lengths("in.guide.source_mask")[0];
     let [_, frames, _] = given.dims();
     let all = branches(text, source);
     let texts = all.iter().map(|branch| usize::from(branch.has_text));
@@ -139,29 +127,36 @@ fn golden_tmed_sampling() {
         return;
     };
     let network = network(&golden);
-    let frames = lengths(&golden, "in.guide.target_mask");
+    let frames = golden.lengths("in.guide.target_mask");
     let condition = guided_condition(&golden, 2.0, 2.0);
     let (noise, trace) = (case.tensor::<3>("in.noise"), case.tensor::<3>("out.trace"));
     let count = trace.dims()[0];
     let trained = *step_counts(&case).last().expect("counts");
     let steps = SampleSteps::new(trained, count, Respacing::Official).expect("steps");
-    let made = Cell::new(0);
+    // Compares the result of a step.
+    let compare = |x: &Tensor<3>, step: usize| {
+        let expected = floats(&trace.clone().narrow(0, step, 1));
+        let difference = max_difference(&floats(x), &expected);
+        assert!(difference <= 2e-3, "step {step}: {difference}");
+    };
+    let mut made = 0;
     let x = steps.sample(
         case.tensor("in.init"),
         |x, step| {
+            if step.index + 1 < count {
+                compare(x, count - 2 - step.index);
+            }
             let all = branches(2.0, 2.0);
             let (timestep, pass) = (step.timestep, Pass::default());
             guided(&network, &all, &condition, x, &frames, timestep, &pass)
         },
-        |step| noise.clone().narrow(0, count - 1 - step.index, 1),
-        |_, x| {
-            let expected = floats(&trace.clone().narrow(0, made.get(), 1));
-            let difference = max_difference(&floats(x), &expected);
-            assert!(difference <= 2e-3, "step {}: {difference}", made.get());
-            made.set(made.get() + 1);
+        |step| {
+            made += 1;
+            noise.clone().narrow(0, count - 1 - step.index, 1)
         },
     );
-    assert_eq!(made.get(), count);
+    assert_eq!(made, count);
+    compare(&x, count - 1);
     check(x, &case, "out.final_row3", 2e-3);
 }
 
@@ -173,7 +168,7 @@ fn golden_tmed_loss() {
     let (total, groups) = group_loss(
         golden.tensor("in.loss.output"),
         golden.tensor("in.loss.target"),
-        &lengths(&golden, "in.loss.mask"),
+        &golden.lengths("in.loss.mask"),
     );
     check(total, &golden, "out.loss.total", 1e-5);
     check(groups, &golden, "out.loss.per_group", 1e-5);
@@ -251,32 +246,21 @@ fn golden_tmed_is_imported_as_an_editor() {
             mean: vec![0.0; NUM_FEATURES],
             std: vec![1.0; NUM_FEATURES],
         };
-        let text = TextRecord::Frozen {
-            encoder_hash: "clip".to_owned(),
-            width: golden.size("text_encoded_dim"),
-        };
+        let text = frozen_text(golden.size("text_encoded_dim"));
         let (heads, path) = (golden.size("num_heads"), Path::new("last.ckpt"));
         import_tmed(&run, heads, (statistics, text), bytes, path, &device)
     };
     let lost = "pose_proj_out.bias";
     let fewer = tensors.iter().filter(|(name, _)| name != lost).cloned();
     let fewer: Vec<_> = fewer.collect();
-    let problem = import(&fewer).expect_err("a tensor is missing").to_string();
-    assert!(
-        problem.ends_with(&format!("{lost} is missing")),
-        "{problem}"
-    );
+    refused(import(&fewer), &format!("{lost} is missing"));
     let more = tensors[0].1.clone();
     tensors.push(("encoder.final_norm".to_owned(), more));
-    let problem = import(&tensors).expect_err("an unknown tensor").to_string();
-    assert!(problem.contains("encoder.final_norm"), "{problem}");
+    refused(import(&tensors), "encoder.final_norm");
     tensors.pop();
     import(&tensors).expect("imported");
 
-    let source = SystemSource::best(&run, TextEncoderSource::default());
-    let skeleton = datasets_spec::Skeleton::smplx_neutral();
-    let system = open_system(&source, &EditConfig::default(), &skeleton, &device);
-    let system = system.expect("an editor");
+    let system = opened(&run, &EditConfig::default());
     assert_eq!(system.identity().name, "TMED");
     let official = TmedConfig::preset(Preset::Official);
     assert_eq!(system.guidance(), official.diffusion.guidance);

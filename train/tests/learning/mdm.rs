@@ -8,12 +8,11 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use train::mdm::{MdmConfig, masked_l2, train_mdm};
 use train::model::conditioned::Conditioned;
 use train::model::mdm::Mdm;
-use train::registry::open_system;
 use train::schedule::Schedule;
-use train::system::{EditConfig, EditRequest, SystemSource, whole};
-use train::text::source::TextEncoderSource;
+use train::system::{EditConfig, EditRequest, whole};
 
 use super::*;
+use crate::shared::opened;
 
 /// Walks with several speeds; every second one has raised arms.
 fn clips(count: usize) -> Vec<CaptionedClip> {
@@ -52,9 +51,7 @@ fn config(num_steps: u64) -> MdmConfig {
 
 /// Trains and validates on the same clips.
 pub(super) fn trained_by(
-    progress: &dyn Progress,
-    stop: &AtomicBool,
-    train: impl FnOnce(CaptionedCorpus<'_>, &Session<'_>) -> Result<TrainReport, Error>,
+    train: impl FnOnce(CaptionedCorpus<'_>) -> Result<TrainReport, Error>,
 ) -> TrainReport {
     let clips = clips(6);
     let corpus = CaptionedCorpus {
@@ -64,18 +61,11 @@ pub(super) fn trained_by(
         skeleton: &SKELETON,
         dataset_hash: "0",
     };
-    watched(progress, stop, |session| train(corpus, session)).expect("trains")
+    train(corpus).expect("trains")
 }
 
-fn trained(
-    run: &Path,
-    config: &MdmConfig,
-    progress: &dyn Progress,
-    stop: &AtomicBool,
-) -> TrainReport {
-    trained_by(progress, stop, |corpus, session| {
-        train_mdm(run, config, corpus, session)
-    })
+fn trained(run: &Path, config: &MdmConfig, session: &Session<'_>) -> TrainReport {
+    trained_by(|corpus| train_mdm(run, config, corpus, session))
 }
 
 /// The numbers of all frames of the clips, as a network receives them.
@@ -103,8 +93,7 @@ fn the_first_loss_of_mdm_is_that_of_an_untrained_network() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = config(1);
     config.run.optimizer.learning_rate = 0.0;
-    let stop = AtomicBool::new(false);
-    let report = trained(dir.path(), &config, &NoProgress, &stop);
+    let report = quietly(|session| trained(dir.path(), &config, session));
 
     let numbers = normalised();
     let squares = numbers.iter().map(|value| f64::from(value * value));
@@ -156,8 +145,8 @@ fn an_interrupted_run_of_mdm_ends_as_an_uninterrupted_one() {
     let mut config = config(9);
     config.model.dropout = 0.1;
     let files = ["last/mdm.safetensors", "last/text.safetensors"];
-    let (_, reports) = check_continued(&[5, 100], &files, |run, progress, stop| {
-        trained(run, &config, progress, stop)
+    let (_, reports) = check_continued(&[5, 100], &files, |run, session| {
+        trained(run, &config, session)
     });
     assert!(!reports[0].is_complete && reports[0].steps == 5);
     assert!(reports[1].is_complete);
@@ -166,14 +155,13 @@ fn an_interrupted_run_of_mdm_ends_as_an_uninterrupted_one() {
 #[test]
 fn mdm_bp_changes_only_the_joints_it_is_told_to() {
     let dir = tempfile::tempdir().expect("a folder");
-    trained(dir.path(), &config(4), &NoProgress, &AtomicBool::new(false));
+    quietly(|session| trained(dir.path(), &config(4), session));
     let edited = |release: usize, joints: JointSet, fps: Fps, ids: &[&str]| -> Vec<Motion> {
-        let source = SystemSource::best(dir.path(), TextEncoderSource::default());
         let config = EditConfig {
             release: Some(release),
             ..EditConfig::default()
         };
-        let system = open_system(&source, &config, &SKELETON, &Device::flex()).expect("opens");
+        let system = opened(dir.path(), &config);
         // Settings other than the usual ones are part of the name.
         let name = &system.identity().name;
         let named = format!("MDM-BP (release {release})");

@@ -27,15 +27,8 @@ fn config(steps: [u64; 2]) -> MldConfig {
     config
 }
 
-fn trained(
-    run: &Path,
-    config: &MldConfig,
-    progress: &dyn Progress,
-    stop: &AtomicBool,
-) -> TrainReport {
-    trained_by(progress, stop, |corpus, session| {
-        train_mld(run, config, corpus, session)
-    })
+fn trained(run: &Path, config: &MldConfig, session: &Session<'_>) -> TrainReport {
+    trained_by(|corpus| train_mld(run, config, corpus, session))
 }
 
 fn best_loss(run: &Path) -> f64 {
@@ -52,7 +45,7 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     config.autoencoder.kl_weight = 0.0;
     config.autoencoder.run.optimizer.learning_rate = 0.0;
     config.run.optimizer.learning_rate = 0.0;
-    trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
+    quietly(|session| trained(dir.path(), &config, session));
 
     let numbers = normalised();
     let mut rng = Seed(1).rng(&["predictions"]);
@@ -114,8 +107,8 @@ fn an_interrupted_run_of_mld_ends_as_an_uninterrupted_one() {
     // diffusion; the first two steps are counted again.
     let stops = [2, 2 + 2 + 3, 100];
     let files = ["last/denoiser.safetensors", "last/ema-text.safetensors"];
-    let (dirs, reports) = check_continued(&stops, &files, |run, progress, stop| {
-        trained(run, &config, progress, stop)
+    let (dirs, reports) = check_continued(&stops, &files, |run, session| {
+        trained(run, &config, session)
     });
     for (report, done) in reports.iter().zip([2, 3]) {
         assert!(!report.is_complete && report.steps == done, "{report:?}");
@@ -130,7 +123,7 @@ fn an_interrupted_run_of_mld_ends_as_an_uninterrupted_one() {
 fn variants_of_a_base_differ_by_their_noise_alone() {
     let dir = tempfile::tempdir().expect("a folder");
     let config = config([4, 4]);
-    trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
+    quietly(|session| trained(dir.path(), &config, session));
     let generator = Generator::load(dir.path(), &Device::flex()).expect("loads");
     assert_eq!(generator.frames(), [16, 40]);
     let bases: Vec<Base> = [("a", "walk", 20), ("b", "walk with raised arms", 33)]

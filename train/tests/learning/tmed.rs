@@ -2,15 +2,14 @@
 
 use datasets_spec::JointSet;
 use train::model::tmed::TmedModel;
-use train::registry::open_system;
-use train::system::{EditConfig, EditRequest, EditSystem, SystemSource, whole};
-use train::text::source::TextEncoderSource;
+use train::system::{EditConfig, EditRequest, EditSystem, whole};
 use train::tmed::features::NUM_FEATURES;
 use train::tmed::{
     ClipBatch, ClipData, ClipEdit, ClipSource, TmedConfig, TmedCorpus, loss, train_tmed,
 };
 
 use super::*;
+use crate::shared::opened;
 
 const INSTRUCTIONS: [&str; 2] = ["raise the arm", "lower the arm"];
 
@@ -67,12 +66,7 @@ fn config(num_steps: u64) -> TmedConfig {
     config
 }
 
-fn train(
-    run: &Path,
-    config: &TmedConfig,
-    progress: &dyn Progress,
-    stop: &AtomicBool,
-) -> TrainReport {
+fn train(run: &Path, config: &TmedConfig, session: &Session<'_>) -> TrainReport {
     let corpus = TmedCorpus {
         train: &Arms,
         val: &Arms,
@@ -82,10 +76,7 @@ fn train(
         dataset_hash: "0",
         compose: None,
     };
-    watched(progress, stop, |session| {
-        train_tmed(run, config, corpus, session)
-    })
-    .expect("trains")
+    train_tmed(run, config, corpus, session).expect("trains")
 }
 
 /// A batch of random clips with different lengths.
@@ -122,6 +113,13 @@ fn network(width: usize, num_tokens: usize) -> TmedModel {
     draw(model, Seed(2)).expect("known layers")
 }
 
+fn loss_of(model: &TmedModel, batch: &ClipBatch) -> Tensor<1> {
+    let schedule = Schedule::cosine(300).expect("steps");
+    let config = TmedConfig::preset(Preset::Paper);
+    let device = Device::flex().autodiff();
+    loss(model, batch, &config, &schedule, &device, &Pass::default())
+}
+
 #[test]
 fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
     let vocabulary = vocabulary();
@@ -129,12 +127,7 @@ fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
     // Normalised features have a standard deviation of one half.
     let batch = batch(&vocabulary, |_| 0.5 * rng.sample::<f32, _>(StandardNormal));
     let model = network(128, vocabulary.num_tokens());
-    let schedule = Schedule::cosine(300).expect("steps");
-    let config = TmedConfig::preset(Preset::Paper);
-    let device = Device::flex().autodiff();
-    let pass = Pass::default();
-    let first = loss(&model, &batch, &config, &schedule, &device, &pass);
-    let first: f32 = first.into_scalar();
+    let first: f32 = loss_of(&model, &batch).into_scalar();
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width. The tolerance is wide
     // because a group of three features weighs as much as one of 126, and tokens are similar.
     let expected = 0.25 + 1.0 / 3.0;
@@ -149,13 +142,7 @@ fn one_batch_is_overfitted_by_tmed() {
         0.5 * (0.9 * frame as f32 + feature as f32).sin()
     });
     let model = network(64, vocabulary.num_tokens());
-    let schedule = Schedule::cosine(300).expect("steps");
-    let config = TmedConfig::preset(Preset::Paper);
-    let device = Device::flex().autodiff();
-    let pass = Pass::default();
-    check_overfits(model, 400, 3e-3, |model| {
-        loss(model, &batch, &config, &schedule, &device, &pass)
-    });
+    check_overfits(model, 400, 3e-3, |model| loss_of(model, &batch));
 }
 
 #[test]
@@ -167,8 +154,8 @@ fn tmed_is_continued_exactly() {
         "last/ema-denoiser.safetensors",
         "best/denoiser.safetensors",
     ];
-    check_continued(&[7, 100], &files, |run, progress, stop| {
-        train(run, &config, progress, stop)
+    check_continued(&[7, 100], &files, |run, session| {
+        train(run, &config, session)
     });
 }
 
@@ -198,17 +185,15 @@ fn tmed_learns_and_its_edits_have_the_length_asked_for() {
     config.run.val_every = 100;
     config.run.micro_batch_size = None;
     config.run.optimizer.learning_rate = 3e-3;
-    train(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
+    quietly(|session| train(dir.path(), &config, session));
     let losses = logged_losses(dir.path());
     let (first, last) = (losses[0].1, losses[losses.len() - 1].1);
     assert!(last < 0.5 * first, "{first} fell to {last}");
 
-    let skeleton = Skeleton::smplx_neutral();
-    let source = SystemSource::best(dir.path(), TextEncoderSource::default());
     let open = |change: fn(&mut EditConfig)| {
         let mut config = EditConfig::default();
         change(&mut config);
-        open_system(&source, &config, &skeleton, &Device::flex()).expect("an editor")
+        opened(dir.path(), &config)
     };
     let system = open(|_| {});
     let (short, long) = (arm(12, 0.6, 0.0), arm(14, 0.7, 0.0));

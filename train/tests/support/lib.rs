@@ -1,7 +1,7 @@
 //! A small dataset of the built-in corpus, on which tests train every network.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
 use burn::tensor::Device;
@@ -81,6 +81,33 @@ pub fn on<T>(
         stop,
         clock: &|| begun.elapsed(),
     })
+}
+
+/// Runs `act` in a session that is stopped after a number of steps. Steps of earlier sessions count, because a session
+/// first reports them.
+pub fn stopped_after<T>(steps: u64, device: &Device, act: impl FnOnce(&Session<'_>) -> T) -> T {
+    let stop = AtomicBool::new(false);
+    let progress = StopAfter {
+        stop: &stop,
+        left: AtomicU64::new(steps),
+    };
+    on(device, &progress, &stop, act)
+}
+
+struct StopAfter<'a> {
+    stop: &'a AtomicBool,
+    left: AtomicU64,
+}
+
+impl Progress for StopAfter<'_> {
+    fn begin(&self, _stage: &str, _total: Option<u64>) {}
+    fn advance(&self, count: u64) {
+        let left = self.left.load(Ordering::Relaxed).saturating_sub(count);
+        self.left.store(left, Ordering::Relaxed);
+        self.stop.store(left == 0, Ordering::Relaxed);
+    }
+    fn message(&self, _text: &str) {}
+    fn finish(&self, _summary: &str) {}
 }
 
 /// Settings of a short run of a network: a line of metrics every `log_every` steps, and one validation at the end.

@@ -68,7 +68,7 @@ fn work_that_is_reviewed_by_touch_comes_back_row_by_row_in_a_fresh_project() {
     let boss = fresh.add_user("boss", "admin");
     fresh.annotate(&["import"]);
     fresh.annotate(&["import", folder]);
-    let other = Server::start(&fresh);
+    let other = Server::start(&fresh, None);
     desk.open(&other.page(""));
     assert_eq!(accepted(&desk, &boss), done);
 }

@@ -24,7 +24,7 @@ const COLOURS: &str = "{ const canvas = document.activeElement; \
 
 /// Checks that hold with and without WebGL.
 fn check(graphics: Graphics, renderer: &str, name: &str) {
-    let browser = Browser::start(graphics);
+    let browser = Browser::start(graphics, &[]);
     browser.open(&format!("file://{}", report_page().display()));
     for viewer in VIEWERS {
         browser.shows(&format!("#{viewer}[data-renderer={renderer}]"));

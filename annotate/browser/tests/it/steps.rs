@@ -38,8 +38,8 @@ impl Desk {
     ) -> Self {
         let token = |name: &&'static str| (*name, dataset.add_user(name, role(name)));
         let tokens = people.iter().map(token).collect();
-        let server = Server::start_with(&dataset, model);
-        let browser = Browser::start(graphics);
+        let server = Server::start(&dataset, model);
+        let browser = Browser::start(graphics, &[]);
         browser.open(&server.page(""));
         let desk = Self {
             browser,
@@ -60,8 +60,8 @@ impl Desk {
 
     /// Opens the home page of the admin whose token the server prints, in a browser with extra command-line arguments.
     pub(crate) fn admin(dataset: Dataset, arguments: &[&str]) -> Self {
-        let server = Server::start(&dataset);
-        let browser = Browser::start_with(Graphics::Software, arguments);
+        let server = Server::start(&dataset, None);
+        let browser = Browser::start(Graphics::Software, arguments);
         browser.log_in(&server, server.printed_token(), "app/home");
         Self {
             browser,

@@ -1,14 +1,13 @@
 //! The task browser, bulk actions, decisions, and my answers.
 
 use axum::response::Response;
-use serde::Deserialize;
 
 use super::review::candidates_of;
 use super::tasks::offered;
 use crate::Error;
 use crate::http::app::{Context, json, page_size, parse_query};
 use crate::store::{DecisionQuery, MineQuery, PageQuery};
-use crate::wire::{Code, MyAnswers, TaskFile, TaskSort};
+use crate::wire::{Code, MyAnswers, TaskFile};
 
 /// Rows per page.
 const ROWS: usize = 200;
@@ -16,17 +15,6 @@ const ROWS: usize = 200;
 const ITEMS: usize = 50;
 /// Decisions by their names in the log.
 const DECISIONS: [&str; 5] = ["accepted", "merged", "returned", "dropped", "reopened"];
-
-/// Query of a page of tasks.
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct Page {
-    sort: Option<TaskSort>,
-    /// Reverses the order unless it is 0.
-    reverse: i64,
-    after: Option<String>,
-    limit: usize,
-}
 
 pub(super) fn tasks(cx: &Context) -> Result<Response, Error> {
     // The other parameters are the filter.
@@ -36,13 +24,11 @@ pub(super) fn tasks(cx: &Context) -> Result<Response, Error> {
     };
     let query = cx.uri.query().unwrap_or("").split('&');
     let (page, filter): (Vec<&str>, Vec<&str>) = query.partition(of_page);
-    let page: Page = parse_query(&page.join("&"))?;
+    let page: PageQuery = parse_query(&page.join("&"))?;
     json(&cx.store().browse(PageQuery {
         filter: parse_query(&filter.join("&"))?,
-        sort: page.sort,
-        reverse: page.reverse != 0,
-        after: page.after,
         limit: page_size(page.limit, ROWS),
+        ..page
     })?)
 }
 

@@ -37,7 +37,7 @@ pub(super) fn export(cx: &Context) -> Result<Response, Error> {
 
 /// The last jobs. Jobs of stopped servers are marked as failed first.
 pub(super) fn all(cx: &Context) -> Result<Vec<Job>, Error> {
-    jobs::abandon(cx.store(), cx.now)?;
+    cx.store().abandon(cx.now)?;
     cx.store().jobs()
 }
 

@@ -135,16 +135,17 @@ pub(super) fn suggest(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn make_gold(cx: &Context) -> Result<Response, Error> {
     let gold = cx.store().make_gold(cx.user()?, cx.id()?, cx.now)?;
-    let record = TaskRecord {
-        wanted: 1,
-        ..cx.store().task_record(gold)?
-    };
-    json(&cx.store().view(record, None)?)
+    made(cx, gold)
 }
 
 pub(super) fn make_practice(cx: &Context) -> Result<Response, Error> {
     let practice = cx.store().make_practice(cx.user()?, cx.id()?, cx.now)?;
-    let record = cx.store().task_record(practice)?;
+    made(cx, practice)
+}
+
+/// A copy that was made of a task, to test or train people.
+fn made(cx: &Context, id: i64) -> Result<Response, Error> {
+    let record = cx.store().task_record(id)?;
     json(&cx.store().view(record, None)?)
 }
 

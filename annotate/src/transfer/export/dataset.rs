@@ -12,6 +12,7 @@ use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
 use super::exporter::{Clips, Exported, Exporter};
 use crate::Error;
 use crate::answer::{completion, sentence};
+use crate::groups::grouped;
 use crate::mask::check_range;
 use crate::store::AcceptedAnswer;
 use crate::transfer::keys::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
@@ -167,15 +168,11 @@ impl Exporter<'_> {
         tasks: &TasksOf,
         described: &mut Described,
     ) -> Result<(), Error> {
-        let mut of_motion: BTreeMap<&str, Vec<&MaskRow>> = BTreeMap::new();
         let of_others = masks.iter().filter(|row| {
             let is_described = described.contains_key(row.motion_id.as_str());
             is_described && row.text_origin == "human" && !self.is_own(&row.author)
         });
-        for row in of_others {
-            let rows = of_motion.entry(row.motion_id.as_str()).or_default();
-            rows.push(row);
-        }
+        let of_motion = grouped(of_others.map(|row| (row.motion_id.as_str(), row)));
         let mut left: Vec<&MaskRow> = Vec::new();
         for (motion, rows) in of_motion {
             let mut answers = Vec::new();
@@ -240,10 +237,8 @@ impl Exporter<'_> {
     /// Keeps the author of each mask that was imported as it stands in the dataset: an answer names one author for all
     /// its masks.
     fn keep_authors(&self, masks: &[MaskRow], described: &mut Described) {
-        let mut before: BTreeMap<&str, Vec<&MaskRow>> = BTreeMap::new();
-        for row in masks.iter().filter(|row| row.text_origin == "human") {
-            before.entry(row.motion_id.as_str()).or_default().push(row);
-        }
+        let of_people = masks.iter().filter(|row| row.text_origin == "human");
+        let before = grouped(of_people.map(|row| (row.motion_id.as_str(), row)));
         for row in described.values_mut().flat_map(|(_, rows)| rows).flatten() {
             let known = before.get(row.motion_id.as_str()).into_iter().flatten();
             let mut same = known.filter(|known| is_same(known, row));
@@ -512,15 +507,10 @@ fn is_said(row: &MaskRow, answers: &[Answer]) -> bool {
 
 /// Whether two rows say the same of the same frames.
 fn is_same(a: &MaskRow, b: &MaskRow) -> bool {
-    let mask = |row: &MaskRow| {
-        (
-            row.hard_joints.clone(),
-            row.soft_joints.clone(),
-            row.start,
-            row.end,
-        )
-    };
-    mask(a) == mask(b) && completion(&sentence(&a.text)) == completion(&sentence(&b.text))
+    a.hard_joints == b.hard_joints
+        && a.soft_joints == b.soft_joints
+        && (a.start, a.end) == (b.start, b.end)
+        && completion(&sentence(&a.text)) == completion(&sentence(&b.text))
 }
 
 fn clips_of_pair(pair: &PairRow) -> [MotionId; 2] {

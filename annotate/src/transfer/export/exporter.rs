@@ -6,10 +6,11 @@ use std::path::Path;
 use datasets_spec::Split;
 use datasets_spec::store::replace_file;
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::Error;
 use crate::store::{AcceptedAnswer, KeyRange, MotionRecord, Store, TaskRecord};
-use crate::wire::TaskState;
+use crate::wire::{ExportFormat, TaskState};
 
 /// Tasks read at a time.
 pub(super) const BATCH: usize = 2000;
@@ -30,6 +31,11 @@ pub struct Exported {
 }
 
 impl Exported {
+    /// What the log of the store keeps of this export ([`Store::log_export`]).
+    pub fn entry(&self, format: ExportFormat) -> Value {
+        json!({ "format": format, "counts": self.counts, "up_to": self.seq })
+    }
+
     pub(super) fn count(&mut self, what: &str, count: usize) {
         *self.counts.entry(what.to_owned()).or_default() += count as i64;
     }

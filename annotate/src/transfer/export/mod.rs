@@ -10,7 +10,6 @@ use std::path::Path;
 
 use datasets_spec::Dataset;
 use datasets_spec::dataset::Transaction;
-use datasets_spec::store::replace_file;
 use datasets_spec::table::Row as _;
 use serde_json::{Value, json};
 
@@ -78,9 +77,7 @@ pub fn export(
         "blake3": hashes(folder, &exporter.done.files)?,
         "tool": format!("stance {}", env!("CARGO_PKG_VERSION")),
     });
-    replace_file(&path, format!("{stamp:#}\n").as_bytes())
-        .map_err(datasets_spec::Error::io("write", path))?;
-    exporter.done.files.push(STAMP.to_owned());
+    exporter.write(folder, STAMP, &format!("{stamp:#}\n"))?;
     Ok(exporter.done)
 }
 

@@ -281,10 +281,17 @@ impl Exporter<'_> {
         }
     }
 
-    /// The body of a log entry with pseudonyms instead of the ids and names of people.
+    /// The body of a log entry, or a part of it, with pseudonyms instead of the ids and names of people.
     fn without_people(&self, body: Value) -> Value {
-        let Value::Object(fields) = body else {
-            return body;
+        let fields = match body {
+            Value::Object(fields) => fields,
+            Value::Array(all) => {
+                return all
+                    .into_iter()
+                    .map(|one| self.without_people(one))
+                    .collect();
+            }
+            other => return other,
         };
         let names_somebody = fields.contains_key("user");
         let hidden = |value: &Value| match value.as_i64() {
@@ -294,7 +301,9 @@ impl Exporter<'_> {
         let fields = fields.into_iter().map(|(name, value)| {
             let value = match (name.as_str(), value) {
                 ("user" | "author", value) => hidden(&value),
-                ("authors", Value::Array(users)) => users.iter().map(hidden).collect(),
+                ("authors" | "people", Value::Array(users)) => users.iter().map(hidden).collect(),
+                // The rules of the project name people that it trusts.
+                ("settings" | "rules", value) => self.without_people(value),
                 // The name of `user`, whose pseudonym is beside it.
                 ("name", _) if names_somebody => Value::Null,
                 (_, value) => value,

@@ -115,10 +115,7 @@ fn fit_frames<'a>(
         .iter()
         .position(|points| points.iter().any(|point| !point.is_finite()))
     {
-        return Err(Error::NotFinite {
-            column: "keypoints",
-            frame,
-        });
+        return Err(Error(format!("keypoints of frame {frame} is not finite")));
     }
     let fitter = Fitter::new(skeleton, options);
     let mut poses: Vec<Pose> = Vec::with_capacity(frames.len());

@@ -156,10 +156,7 @@ impl Source<'_> {
         let place = self.fetch(newest, file, progress)?;
         let text = fs::read(&place).map_err(Error::io("read", &place))?;
         let manifest: Manifest =
-            serde_json::from_slice(&text).map_err(|source| datasets_spec::Error::Json {
-                path: place,
-                source,
-            })?;
+            serde_json::from_slice(&text).map_err(datasets_spec::Error::json(place))?;
         let entries = manifest.tables.into_values().flatten();
         let mut named: BTreeSet<String> = entries.map(|entry| entry.path).collect();
         named.insert(newest.clone());

@@ -15,23 +15,15 @@ use super::error::Error;
 /// Maximum number of characters of a name.
 const MAX_NAME_LEN: usize = 96;
 
-/// Kind of a repo's contents.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum RepoKind {
-    /// Tables of motions.
-    Dataset,
-    /// Weights of a network.
-    Model,
-}
-
-impl RepoKind {
-    /// Name of the kind in the hub's API.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Dataset => "dataset",
-            Self::Model => "model",
-        }
+datasets_spec::named! {
+    /// Kind of a repo's contents, by its name in the hub's API.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum RepoKind, named by as_str {
+        /// Tables of motions.
+        Dataset = "dataset",
+        /// Weights of a network.
+        Model = "model",
     }
 }
 
@@ -112,18 +104,13 @@ impl Repo {
 
     /// URL of the repo's API.
     pub(super) fn api(&self, hub: &Hub) -> String {
-        format!(
-            "{}/api/{}s/{}",
-            hub.endpoint(),
-            self.kind.as_str(),
-            self.name
-        )
+        format!("{}/api/{}s/{}", hub.endpoint(), self.kind, self.name)
     }
 }
 
 impl fmt::Display for Repo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", self.kind.as_str(), self.name)
+        write!(f, "{} {}", self.kind, self.name)
     }
 }
 
@@ -165,7 +152,7 @@ pub(super) fn head_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<H
 /// The name belongs to both or to neither, or the server cannot be reached or fails.
 pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, Error> {
     let mut found = Vec::new();
-    for kind in [RepoKind::Dataset, RepoKind::Model] {
+    for kind in RepoKind::ALL {
         let name = name.clone();
         if head_of(hub, &Repo { kind, name }, revision)?.is_some() {
             found.push(kind);

@@ -94,26 +94,26 @@ impl Clip {
 /// An annotation of a motion, or a pair: two motions of one body that differ in one respect. For an annotation,
 /// `captured`, `source` and `target` are the same clip.
 #[derive(Clone, Debug)]
-struct Edit {
-    id: String,
-    kind: EditKind,
+pub(super) struct Edit {
+    pub(super) id: String,
+    pub(super) kind: EditKind,
     /// Index of the clip before the edit, as stored in the dataset.
     captured: usize,
     /// Index of the clip before the edit, aligned in time with the one after it.
     source: usize,
     /// Index of the clip after the edit.
-    target: usize,
+    pub(super) target: usize,
     /// Frames of `target` that the instruction describes.
-    frames: Range<usize>,
+    pub(super) frames: Range<usize>,
     /// Mask of an annotation; empty for a pair.
     mask: BlendMask,
     /// Halves of the body that a pair may be edited in; empty for an annotation, which has a mask.
-    halves: Vec<BodyPart>,
+    pub(super) halves: Vec<BodyPart>,
     /// Names of the parts that the mask is made of, or that the pair changes.
-    parts: Arc<[String]>,
+    pub(super) parts: Arc<[String]>,
     /// Whether it is a pair from MotionFix. Such pairs are evaluated without a donor.
     is_motionfix: bool,
-    instruction: Arc<str>,
+    pub(super) instruction: Arc<str>,
 }
 
 /// All motions and masks of one split: the motion base and the annotated set of MotionCutMix.

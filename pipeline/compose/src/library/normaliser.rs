@@ -26,7 +26,10 @@ impl Library {
     /// Paper App. B.2.
     pub fn fit_normalizer(&self, config: &ComposeConfig) -> Result<Normalizer, Error> {
         if self.split != Split::Train {
-            return Err(Error::NotTrain(self.split));
+            return Err(Error::Refused(format!(
+                "statistics are fitted on split train alone, the library holds split {}",
+                self.split
+            )));
         }
         config.check()?;
         let stride = config.stride(self.fps)?;

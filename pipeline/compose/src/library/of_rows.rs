@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::Row;
 use datasets_spec::{Fps, Motion, Seed, Skeleton, Split};
 
 use super::frames::FrameFile;
@@ -24,19 +25,8 @@ impl Library {
             folder: std::env::temp_dir().join("stance-tests"),
             kept: 1 << 30,
         };
-        let mut hasher = blake3::Hasher::new();
-        for motion in &motions {
-            let columns = [
-                motion.transl().as_flattened(),
-                motion.global_orient().as_flattened(),
-                motion.body_pose().as_flattened(),
-            ];
-            hasher.update(&(motion.len() as u64).to_le_bytes());
-            for number in columns.concat() {
-                hasher.update(&number.to_le_bytes());
-            }
-        }
-        let key = hasher.finalize().to_hex().to_string();
+        let hashes: String = motions.iter().map(Motion::content_hash).collect();
+        let key = blake3::hash(hashes.as_bytes()).to_hex().to_string();
         let lens: Vec<usize> = motions.iter().map(Motion::len).collect();
         let num_frames = lens.iter().sum::<usize>() as u64;
         let fps = motions.first().map_or(Fps::STORE, Motion::fps);
@@ -45,19 +35,9 @@ impl Library {
         })?;
         let mut library = LibraryRows::new(split, &skeleton);
         let frames = frames_of_file(Arc::new(file), lens);
-        for ((row, motion), frames) in rows.iter().zip(&motions).zip(frames) {
-            let stated = LabelledClip {
-                id: row.id.clone(),
-                split: row.split,
-                source: row.source.clone(),
-                skeleton: row.skeleton.clone(),
-                fps: row.fps,
-                n_frames: row.n_frames,
-                action: row.action.clone(),
-                style: row.style.clone(),
-                mirrored_of: row.mirrored_of.clone(),
-            };
-            library.add_clip(&stated, motion.fps(), frames)?;
+        let stated = LabelledClip::decode(&MotionRow::encode(rows)?)?;
+        for ((stated, motion), frames) in stated.iter().zip(&motions).zip(frames) {
+            library.add_clip(stated, motion.fps(), frames)?;
         }
         library.end_of_clips()?;
         library.add_masks(masks)?;

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::ops::{Range, RangeInclusive};
-use std::sync::Arc;
 
 use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
 use rand::RngExt;
@@ -49,11 +48,13 @@ impl Library {
         let is_of_base = |clip: &Clip| clip.in_base && config.base.takes(&clip.source);
         if !self.clips.is_empty() && !self.clips.iter().any(is_of_base) {
             let found: BTreeSet<&str> = self.clips.iter().map(|clip| &*clip.source).collect();
-            return Err(Error::BaseSources {
-                split: self.split(),
-                wanted: config.base.sources.clone(),
-                found: found.into_iter().map(str::to_owned).collect(),
-            });
+            return Err(Error::Refused(format!(
+                "split {} has no motion of the sources that base.sources names ({}); it has motions of {}: correct the \
+                 setting or ingest such motions",
+                self.split,
+                config.base.sources.join(", "),
+                Vec::from_iter(found).join(", ")
+            )));
         }
         let candidates: Vec<usize> = (0..self.clips.len())
             .filter(|&clip| is_of_base(&self.clips[clip]))
@@ -71,12 +72,12 @@ impl Library {
     pub(crate) fn subjects(&self, config: &ComposeConfig, seed: Seed, span: usize) -> Vec<Subject> {
         let candidates: Vec<Subject> = self
             .all_subjects()
-            .filter(|subject| config.kinds.contains(&self.kind_of(*subject)))
+            .filter(|subject| config.kinds.contains(&self.edit(*subject).kind))
             .filter(|subject| self.frames_of(*subject) >= span)
             .collect();
         let ids: Vec<&str> = candidates
             .iter()
-            .map(|subject| self.subject_id(*subject))
+            .map(|subject| self.edit(*subject).id.as_str())
             .collect();
         subset(config.annotated_ratio, seed, "annotated set", &ids)
             .into_iter()
@@ -87,29 +88,16 @@ impl Library {
     /// Number of masks and pairs of the wanted kinds that are shorter than a window, and are not used.
     pub(crate) fn num_short(&self, config: &ComposeConfig, span: usize) -> usize {
         self.all_subjects()
-            .filter(|subject| config.kinds.contains(&self.kind_of(*subject)))
+            .filter(|subject| config.kinds.contains(&self.edit(*subject).kind))
             .filter(|subject| self.frames_of(*subject) < span)
             .count()
     }
 
-    fn edit(&self, subject: Subject) -> &Edit {
+    pub(crate) fn edit(&self, subject: Subject) -> &Edit {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation],
             Subject::Pair(pair) => &self.pairs[pair],
         }
-    }
-
-    pub(crate) fn subject_id(&self, subject: Subject) -> &str {
-        &self.edit(subject).id
-    }
-
-    pub(crate) fn kind_of(&self, subject: Subject) -> EditKind {
-        self.edit(subject).kind
-    }
-
-    /// The motion after the edit.
-    pub(crate) fn target_of(&self, subject: Subject) -> usize {
-        self.edit(subject).target
     }
 
     /// The clips before and after the edit, aligned in time. For an annotation, both are the annotated clip.
@@ -118,30 +106,20 @@ impl Library {
         [*source, *target]
     }
 
-    /// Halves of the body that a pair may be edited in; empty for an annotation, which has a mask.
-    pub(crate) fn halves_of(&self, subject: Subject) -> &[BodyPart] {
-        &self.edit(subject).halves
-    }
-
     pub(crate) fn len_of(&self, clip: usize) -> usize {
         self.clips[clip].len()
     }
 
     /// Frames that windows can be taken from.
     pub(crate) fn frames_of(&self, subject: Subject) -> usize {
-        let held = self.held_of(subject).len();
+        let held = self.edit(subject).frames.len();
         let clips = self.clips_of(subject).into_iter();
         clips.fold(held, |least, clip| least.min(self.clips[clip].len()))
     }
 
-    /// Frames of the motion after the edit that the instruction is about.
-    pub(crate) fn held_of(&self, subject: Subject) -> Range<usize> {
-        self.edit(subject).frames.clone()
-    }
-
     /// The frames of a semantic edit's crop that the instruction is about.
     pub(crate) fn edited_of(&self, pairing: &Pairing) -> Range<usize> {
-        let (held, crop) = (self.held_of(pairing.subject), pairing.crop);
+        let (held, crop) = (&self.edit(pairing.subject).frames, pairing.crop);
         let in_crop = |frame: usize| frame.saturating_sub(crop.target_start).min(crop.num_frames);
         in_crop(held.start)..in_crop(held.end)
     }
@@ -166,7 +144,8 @@ impl Library {
         half: Option<BodyPart>,
         config: &ComposeConfig,
     ) -> Vec<String> {
-        config.phrases.wordings(self.text_of(subject), half)
+        let text = &self.edit(subject).instruction;
+        config.phrases.wordings(text, half)
     }
 
     /// Whether two clips may be blended: not a clip with itself, its mirror image or another crop of the
@@ -293,14 +272,6 @@ impl Library {
         }
     }
 
-    pub(crate) fn parts_of(&self, subject: Subject) -> &[String] {
-        &self.edit(subject).parts
-    }
-
-    pub(crate) fn text_of(&self, subject: Subject) -> &Arc<str> {
-        &self.edit(subject).instruction
-    }
-
     /// The clips before and after an edit, as stored in the dataset.
     pub(crate) fn captured_of(&self, subject: Subject) -> [usize; 2] {
         let Edit {
@@ -317,7 +288,7 @@ impl Library {
         subject: Subject,
         preferred: usize,
     ) -> Result<Vec<usize>, Error> {
-        let target = &self.clips[self.target_of(subject)];
+        let target = &self.clips[self.edit(subject).target];
         let mut other = base.to_vec();
         other.retain(|&clip| self.may_meet(clip, subject));
         let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
@@ -329,7 +300,16 @@ impl Library {
         [long, other_action, other]
             .into_iter()
             .find(|partners| !partners.is_empty())
-            .ok_or_else(|| Error::NoPartner(target.id.clone()))
+            .ok_or_else(|| self.no_partner(subject))
+    }
+
+    /// The error about a subject that no clip of the base can be blended with.
+    pub(crate) fn no_partner(&self, subject: Subject) -> Error {
+        Error::Refused(format!(
+            "motion {} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio \
+             or widen base.sources",
+            self.clips[self.edit(subject).target].id
+        ))
     }
 
     /// The instruction of the dataset, with the part added by the first template.

@@ -105,11 +105,12 @@ fn motions_of(shard: &ShardReader, clips: &[(usize, LabelledClip)]) -> Result<Ve
             .motion()
             .map_err(|source| no_motion(&clip.id, source))?;
         if motion.len() != len_of(clip) {
-            return Err(Error::Length {
-                motion: clip.id.clone(),
-                found: motion.len(),
-                stated: clip.n_frames,
-            });
+            return Err(Error::Refused(format!(
+                "motion {} has {} frames, and its row states {}; ingest it again",
+                clip.id,
+                motion.len(),
+                clip.n_frames
+            )));
         }
         Ok(motion)
     };

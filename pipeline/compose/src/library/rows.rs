@@ -63,16 +63,14 @@ impl<'a> LibraryRows<'a> {
         }
     }
 
-    fn check_split(&self, table: &'static str, id: &str, found: Split) -> Result<(), Error> {
-        if found == self.split {
+    fn check_split(&self, table: &str, id: &str, found: Split) -> Result<(), Error> {
+        let expected = self.split;
+        if found == expected {
             return Ok(());
         }
-        Err(Error::OtherSplit {
-            table,
-            id: id.to_owned(),
-            found,
-            expected: self.split,
-        })
+        Err(Error::Refused(format!(
+            "{table} row {id:?} is of split {found}, the library of split {expected}; pass the rows of one split only"
+        )))
     }
 
     pub(super) fn add_clip(
@@ -84,11 +82,10 @@ impl<'a> LibraryRows<'a> {
         self.check_split("motions", stated.id.as_str(), stated.split)?;
         let expected = *self.fps.get_or_insert(fps);
         if fps != expected {
-            return Err(Error::OtherRate {
-                motion: stated.id.clone(),
-                found: fps.get(),
-                expected: expected.get(),
-            });
+            return Err(Error::Refused(format!(
+                "motion {} is stored at {fps}, others at {expected}; ingest all motions at one rate",
+                stated.id
+            )));
         }
         if let Some(original) = &stated.mirrored_of {
             let original = MotionId::parse(original)?;
@@ -168,12 +165,12 @@ impl<'a> LibraryRows<'a> {
         Ok(())
     }
 
-    fn clip(&self, table: &'static str, row: &str, id: &MotionId) -> Result<usize, Error> {
+    fn clip(&self, table: &str, row: &str, id: &MotionId) -> Result<usize, Error> {
         let found = self.clips.binary_search_by(|clip| clip.id.cmp(id));
-        found.map_err(|_| Error::UnknownMotion {
-            table,
-            row: row.to_owned(),
-            motion: id.clone(),
+        found.map_err(|_| {
+            Error::Refused(format!(
+                "{table} {row:?} belongs to motion {id}, which is not in the library; pass all motions of its split"
+            ))
         })
     }
 
@@ -198,17 +195,13 @@ impl<'a> LibraryRows<'a> {
     }
 }
 
-fn check_distinct<T>(
-    table: &'static str,
-    rows: &[T],
-    id_of: impl Fn(&T) -> &str,
-) -> Result<(), Error> {
+fn check_distinct<T>(table: &str, rows: &[T], id_of: impl Fn(&T) -> &str) -> Result<(), Error> {
     match rows.windows(2).find(|two| id_of(&two[0]) == id_of(&two[1])) {
         None => Ok(()),
-        Some(two) => Err(Error::Duplicate {
-            table,
-            id: id_of(&two[0]).to_owned(),
-        }),
+        Some(two) => Err(Error::Refused(format!(
+            "{table} row {:?} appears twice; remove one",
+            id_of(&two[0])
+        ))),
     }
 }
 
@@ -252,11 +245,10 @@ pub(super) fn check_skeleton(
 ) -> Result<(), Error> {
     match found == skeleton.name() {
         true => Ok(()),
-        false => Err(Error::OtherSkeleton {
-            motion: motion.clone(),
-            found: found.to_owned(),
-            expected: skeleton.name().to_owned(),
-        }),
+        false => Err(Error::Refused(format!(
+            "motion {motion} drives skeleton {found:?}, the library {:?}; ingest all motions with one body model",
+            skeleton.name()
+        ))),
     }
 }
 
@@ -294,9 +286,11 @@ fn unusable(table: &'static str, row: &str, source: datasets_spec::Error) -> Err
 }
 
 fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
-    let kind = EditKind::parse(&row.kind).ok_or_else(|| Error::PairKind {
-        pair: row.id.clone(),
-        found: row.kind.clone(),
+    let kind = EditKind::of_name(&row.kind).ok_or_else(|| {
+        Error::Refused(format!(
+            "pair {:?} is of kind {:?}; known are semantic, style and fine-grained",
+            row.id, row.kind
+        ))
     })?;
     let instruction = match (row.instruction.trim(), &row.style) {
         ("", Some(style)) => style_instruction(style),
@@ -331,7 +325,10 @@ fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
     let mask = BlendMask::of_names(&row.hard_joints, &row.soft_joints);
     let mask = mask.map_err(|source| unusable("mask", &row.id, source))?;
     if mask.is_empty() {
-        return Err(Error::EmptyMask(row.id.clone()));
+        return Err(Error::Refused(format!(
+            "mask {:?} names no joint; annotate it again",
+            row.id
+        )));
     }
     if row.text.trim().is_empty() {
         return Err(no_text("mask", &row.id));
@@ -339,7 +336,6 @@ fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
     Ok(mask)
 }
 
-fn no_text(table: &'static str, row: &str) -> Error {
-    let row = row.to_owned();
-    Error::EmptyText { table, row }
+fn no_text(table: &str, row: &str) -> Error {
+    Error::Refused(format!("{table} {row:?} has no text; annotate it again"))
 }

@@ -18,7 +18,7 @@ use target::{Target, Targets};
 use super::draw::Shuffle;
 use super::instruction::mirrored;
 use super::library::{FrameRoom, Pairing, Subject};
-use super::window::{BlendPlan, Composer, Frame, PARTS_OF_ORIGINAL, both_parts};
+use super::window::{BlendPlan, Composer, Frame, Origin, PARTS_OF_ORIGINAL, both_parts};
 use super::{ComposeConfig, EditKind, Error, Library};
 
 /// Training windows, item after item. The buffers are reused from call to call.
@@ -125,12 +125,10 @@ impl Stream {
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
             if !base.iter().any(|&clip| library.may_meet(clip, subject)) {
-                return Err(Error::NoPartner(
-                    library.clip(library.target_of(subject)).id.clone(),
-                ));
+                return Err(library.no_partner(subject));
             }
             let fixed = config.fixed_pairs.then(|| {
-                let mut rng = seed.rng(&["fixed pair", library.subject_id(subject)]);
+                let mut rng = seed.rng(&["fixed pair", &library.edit(subject).id]);
                 library.draw_pairing(&base, subject, &config, &mut rng)
             });
             let num_frames = match &fixed {
@@ -329,15 +327,14 @@ impl Stream {
         edited: &mut [f32],
     ) -> Result<(), Error> {
         let [first, second, third] = rooms;
-        let (edited_parts, under_parts) = match drawn.plan {
-            None => (PARTS_OF_ORIGINAL, PARTS_OF_ORIGINAL),
-            Some(plan) if drawn.before.is_some() => {
-                (plan.parts_of_target(), plan.parts_of_source())
-            }
-            Some(plan) => {
-                let under = both_parts(plan.parts_of_source(), PARTS_OF_ORIGINAL);
-                (plan.parts_of_target(), under)
-            }
+        let [edited_parts, under_parts] = match drawn.plan {
+            None => [PARTS_OF_ORIGINAL; 2],
+            Some(plan) => [Origin::Target, Origin::Source].map(|of| plan.parts_of(of)),
+        };
+        // A semantic edit has the partner's window as its original.
+        let under_parts = match drawn.before {
+            None => both_parts(under_parts, PARTS_OF_ORIGINAL),
+            Some(_) => under_parts,
         };
         let read = |at: Option<WindowPlace>, parts, room| {
             at.map(|at| self.window_of(at, parts, room)).transpose()
@@ -373,7 +370,7 @@ impl Stream {
 
     pub(super) fn kind(&self, epoch: u64, place: u64) -> EditKind {
         let item = self.order(epoch).at(place);
-        self.library.kind_of(self.target_of(item).0.subject)
+        self.library.edit(self.target_of(item).0.subject).kind
     }
 
     pub(super) fn clip_pairing(&self, epoch: u64, number: u64) -> (Pairing, &str) {
@@ -438,12 +435,12 @@ impl Stream {
             };
             WindowPlace { clip, start: at }
         };
-        let (crop, held) = (pairing.crop, library.held_of(target.subject));
+        let (crop, held) = (pairing.crop, &library.edit(target.subject).frames);
         // Windows of a mask lie within the mask's range.
         let first = library.edited_of(&pairing).start;
         let (before, after, under) = match target.subject {
             Subject::Annotation(_) => {
-                let clip = library.target_of(target.subject);
+                let clip = library.edit(target.subject).target;
                 let source = pairing.partner.expect("a semantic edit has a source");
                 let under = partner_at(&mut rng, source, crop.source_start + first);
                 let start = match target.fixed {

@@ -44,7 +44,7 @@ impl<'a> Targets<'a> {
     }
 
     fn wordings(&mut self, subject: Subject, part: Option<BodyPart>) -> Wordings {
-        let text = Arc::clone(self.library.text_of(subject));
+        let text = Arc::clone(&self.library.edit(subject).instruction);
         let known = self.wordings.entry((text, part));
         let made = || self.library.wordings(subject, part, self.config).into();
         Arc::clone(known.or_insert_with(made))
@@ -71,7 +71,7 @@ impl<'a> Targets<'a> {
         let sides = match subject {
             Subject::Annotation(_) => vec![self.side(subject, None)],
             Subject::Pair(_) => {
-                let halves = library.halves_of(subject).iter();
+                let halves = library.edit(subject).halves.iter();
                 halves.map(|half| self.side(subject, Some(*half))).collect()
             }
         };

@@ -118,10 +118,8 @@ fn a_window_needs_no_more_than_the_parts_it_names() {
     assert_eq!(whole, parts);
     for mask in masks() {
         let plan = BlendPlan::new(mask, SlerpRule::Exact);
-        for (out, [from, to]) in [
-            (&mut *whole, [FrameParts::ALL; 2]),
-            (parts, [plan.parts_of_source(), plan.parts_of_target()]),
-        ] {
+        let named = [Origin::Source, Origin::Target].map(|of| plan.parts_of(of));
+        for (out, [from, to]) in [(&mut *whole, [FrameParts::ALL; 2]), (parts, named)] {
             let (from, to) = (known(&source, from), known(&target, to));
             composer.blended(&from, &to, &plan, 0.3, out);
         }

@@ -10,7 +10,6 @@ use super::label::{Subject, Subjects};
 use super::solve::Solvable;
 use crate::source::ReadOptions;
 use crate::source::unit::{Unit, misfit, suspected};
-use clip::check::{FLAG_GAPS_FILLED, FLAG_SIDES_DOUBTFUL, FLAG_UP_DOUBTFUL};
 use clip::{Markers, Rejected, RotationSource, SourceClip, rejected};
 
 /// Code of captures whose markers cannot be solved.
@@ -47,22 +46,9 @@ impl Capture {
         // The name of a file's only subject is dropped: it is often that of a template, and the folder's label may name
         // the person.
         clip.subject = Some(subject.name).filter(|name| !key.is_empty() && !name.is_empty());
-        clip.flags = flags;
+        clip.flags = flags | solved.flags;
         clip.notes.extend(notes);
         clip.notes.extend(solved.notes);
-        if solved.is_up_doubtful {
-            clip.flags |= FLAG_UP_DOUBTFUL;
-        }
-        if solved.are_sides_doubtful {
-            clip.flags |= FLAG_SIDES_DOUBTFUL;
-        }
-        if solved.gaps > 0 {
-            clip.flags |= FLAG_GAPS_FILLED;
-            clip.notes.push(format!(
-                "{} frames showed too few markers and were interpolated",
-                solved.gaps
-            ));
-        }
         clip.markers = Some(solved.markers);
         Ok(clip)
     }

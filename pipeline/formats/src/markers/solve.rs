@@ -29,6 +29,7 @@ use crate::source::ReadOptions;
 use crate::source::Up;
 use crate::source::unit::PERSON_M;
 use clip::Markers;
+use clip::check::{FLAG_GAPS_FILLED, FLAG_SIDES_DOUBTFUL, FLAG_UP_DOUBTFUL};
 
 /// Number of frames and rounds for estimating offsets and size.
 const CALIBRATION_FRAMES: usize = 60;
@@ -57,12 +58,8 @@ const OUTLIER_M: f64 = 0.15;
 pub(super) struct Solved {
     /// The motion, y up, on the floor.
     pub(super) motion: Motion,
-    /// Frames whose pose was interpolated because too few markers were seen.
-    pub(super) gaps: usize,
-    /// Whether the person does not stand along the axis that was taken for up.
-    pub(super) is_up_doubtful: bool,
-    /// Whether the front of the body is behind it, given which side is left.
-    pub(super) are_sides_doubtful: bool,
+    /// Quality flags.
+    pub(super) flags: u32,
     /// The markers, rotated to y up, in captured size, with the set and the distances from the body's markers.
     pub(super) markers: Markers,
     /// Decisions that a user may want to check.
@@ -156,13 +153,18 @@ impl<'a> Solvable<'a> {
         solver
             .calibrate(&self.frames, &self.usable)
             .ok_or_else(no_body)?;
-        let are_sides_doubtful =
+        let front_is_behind =
             sides::front_is_behind(&self.worn, skeleton, &self.frames, &self.usable);
         let solved = solver.all(&self.frames, &self.usable);
         let (mut poses, fit_residuals, gaps) = solved.ok_or_else(no_body)?;
         let fps = self.markers.fps;
         floor::put_on_floor(&mut poses, fps, skeleton);
         let motion = Motion::from_poses(fps, &poses).map_err(|_| no_body())?;
+        let mut flags = if self.is_up_clear {
+            0
+        } else {
+            FLAG_UP_DOUBTFUL
+        };
         let mut notes = vec![
             format!(
                 "markers {}, {} of {} labels worn; {} is up in the file",
@@ -176,7 +178,8 @@ impl<'a> Solvable<'a> {
         if self.headless {
             notes.push("no marker is on the head: it follows the trunk".to_owned());
         }
-        if are_sides_doubtful {
+        if front_is_behind {
+            flags |= FLAG_SIDES_DOUBTFUL;
             notes.push(
                 "pelvis, head and feet face backwards, given which side is left: an axis of the file may be mirrored"
                     .to_owned(),
@@ -186,13 +189,17 @@ impl<'a> Solvable<'a> {
             let parts = part::names(set.at_rest());
             notes.push(format!("as at rest where no marker tells: {parts}"));
         }
+        if gaps > 0 {
+            flags |= FLAG_GAPS_FILLED;
+            notes.push(format!(
+                "{gaps} frames showed too few markers and were interpolated"
+            ));
+        }
         self.markers.set = Some(set.name().to_owned());
         self.markers.fit_residuals = fit_residuals;
         Ok(Solved {
             motion,
-            gaps,
-            is_up_doubtful: !self.is_up_clear,
-            are_sides_doubtful,
+            flags,
             markers: self.markers,
             notes,
         })

@@ -145,14 +145,8 @@ fn standing_torso(zero: &[DVec3; NUM_BODY_JOINTS], track: &Track) -> Option<DQua
 }
 
 fn nearest_axis(direction: DVec3) -> DVec3 {
-    let size = direction.abs();
-    if size.x >= size.y && size.x >= size.z {
-        DVec3::X * direction.x.signum()
-    } else if size.y >= size.z {
-        DVec3::Y * direction.y.signum()
-    } else {
-        DVec3::Z * direction.z.signum()
-    }
+    let axis = direction.abs().max_position();
+    DVec3::AXES[axis] * direction[axis].signum()
 }
 
 /// Estimates the alignment of joint frames from the source's motion, which must be y up.

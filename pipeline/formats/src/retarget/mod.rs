@@ -377,7 +377,7 @@ pub(crate) mod tests {
     use super::joint_map::JOINT_MAPS;
     use super::*;
     use crate::source::bvh::BvhFile;
-    use crate::source::bvh::dialects::RigText;
+    use crate::source::bvh::dialects::{RigText, carried, read_text};
     use crate::source::release_tests::{assert_notes, assert_refused, assert_says, edited};
     use clip::check::check;
 
@@ -394,16 +394,6 @@ pub(crate) mod tests {
         let joints = joints.join(", ");
         let map = format!(r#"{{"name": "mine", "joints": {{{joints}}}, {fields}}}"#);
         UserMap::parse(&map).expect("a map")
-    }
-
-    fn retarget(text: &str) -> SourceClip {
-        let bvh = BvhFile::parse(text.as_bytes()).expect("the test writes valid files");
-        clip(&bvh, &ReadOptions::default()).expect("the test writes bodies")
-    }
-
-    /// Writes poses as a file of a rig, and reads the file.
-    fn carried(rig: &RigText, poses: &[Pose]) -> SourceClip {
-        retarget(&rig.write(poses, &Skeleton::smplx_neutral()))
     }
 
     fn z_up() -> RigText {
@@ -500,21 +490,21 @@ pub(crate) mod tests {
     }
 
     fn rejected(text: &str) -> Rejected {
-        let bvh = BvhFile::parse(text.as_bytes()).expect("a valid file");
-        clip(&bvh, &ReadOptions::default()).expect_err("no body")
+        read_text(text).expect_err("no body")
     }
 
     #[test]
     fn guessed_names_give_the_same_motion_and_say_how_sure_they_are() {
         let poses = walk(40);
-        let text = RigText::smplx().write(&poses, &Skeleton::smplx_neutral());
-        let clip = retarget(&renamed(&text, wordy));
+        let text = RigText::smplx().write(&poses);
+        let clip = read_text(&renamed(&text, wordy)).expect("a body");
         assert_same_motion(&clip, &poses);
         assert_eq!(
             clip.notes[0],
             "skeleton map guessed with confidence 1.00: by words in names, 22 of 22 joints found"
         );
-        let nameless = retarget(&renamed(&text, |joint| format!("b{joint}")));
+        let nameless = renamed(&text, |joint| format!("b{joint}"));
+        let nameless = read_text(&nameless).expect("a body");
         assert_same_motion(&nameless, &poses);
         let said = &nameless.notes[0];
         assert!(said.contains("confidence 0.80"), "{said}");
@@ -536,7 +526,7 @@ pub(crate) mod tests {
                 pose
             })
             .collect();
-        let text = RigText::scrambled().write(&poses, &Skeleton::smplx_neutral());
+        let text = RigText::scrambled().write(&poses);
         let rejected = rejected(&renamed(&text, wordy));
         assert_eq!(rejected.stage, "retarget");
         assert_refused(&rejected, "E-BVH-SKELETON", "not upright");
@@ -544,9 +534,8 @@ pub(crate) mod tests {
 
     #[test]
     fn the_users_map_comes_first() {
-        let skeleton = Skeleton::smplx_neutral();
         let poses = walk(40);
-        let text = z_up().write(&poses, &skeleton);
+        let text = z_up().write(&poses);
         let text = renamed(&text, |joint| format!("b{joint}"));
         let name = |joint: Joint| format!("b{}", joint.index());
         let map = map_of(name, r#""unit": 1.0, "up": "z""#);
@@ -560,17 +549,16 @@ pub(crate) mod tests {
         assert_notes(&found, "z is up in the file");
         assert_says(&found, "unit m, as the joint map says");
         // A file without the map's joints is read as if there were no map.
-        let other = read(&RigText::smplx().write(&poses, &skeleton));
+        let other = read(&RigText::smplx().write(&poses));
         assert_eq!(other.notes[0], "skeleton map smplx");
         assert_notes(&other, "the joint map mine does not fit the file");
     }
 
     #[test]
     fn a_first_frame_that_stands_can_be_the_rest() {
-        let skeleton = Skeleton::smplx_neutral();
         let mut poses = walk(40);
         poses[0].rotations = Pose::REST.rotations;
-        let text = RigText::scrambled().write(&poses, &skeleton);
+        let text = RigText::scrambled().write(&poses);
         let map = map_of(|joint| joint.name().to_owned(), r#""rest": "first-frame""#);
         let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
         let clip = clip(&bvh, &with_map(&map)).expect("a body");
@@ -581,7 +569,7 @@ pub(crate) mod tests {
 
     #[test]
     fn skeletons_that_are_no_body_are_refused_by_what_is_missing() {
-        let text = RigText::smplx().write(&walk(3), &Skeleton::smplx_neutral());
+        let text = RigText::smplx().write(&walk(3));
         let twice = rejected(&text.replace("JOINT spine2\n", "JOINT left_knee\n"));
         let words = "found 2 joints named \"left_knee\"";
         assert_refused(&twice, "E-BVH-SKELETON", words);
@@ -599,7 +587,7 @@ pub(crate) mod tests {
                 metres,
                 ..RigText::smplx()
             };
-            let text = rig.write(&walk(3), &Skeleton::smplx_neutral());
+            let text = rig.write(&walk(3));
             assert_eq!(rejected(&text).code, code, "{metres}");
         }
     }
@@ -650,9 +638,8 @@ pub(crate) mod tests {
             digits in prop::collection::vec(any::<prop::sample::Index>(), 0..8),
             scrambled in any::<bool>(),
         ) {
-            let skeleton = Skeleton::smplx_neutral();
             let dialect = if scrambled { RigText::scrambled() } else { RigText::smplx() };
-            let mut bytes = edited(dialect.write(&walk(4), &skeleton).as_bytes(), edits);
+            let mut bytes = edited(dialect.write(&walk(4)).as_bytes(), edits);
             // Replacing digits by exponents keeps the file valid but makes its numbers absurd.
             for at in digits {
                 let at = at.index(bytes.len());

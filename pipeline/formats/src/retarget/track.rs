@@ -122,15 +122,11 @@ impl Track {
     /// Rotates the whole track.
     pub(super) fn turn(&mut self, turn: DQuat) {
         self.turn = turn * self.turn;
-        for rotations in &mut self.rotations {
-            for rotation in rotations {
-                *rotation = turn * *rotation;
-            }
+        for rotation in self.rotations.as_flattened_mut() {
+            *rotation = turn * *rotation;
         }
-        for points in &mut self.points {
-            for point in points {
-                *point = turn * *point;
-            }
+        for point in self.points.as_flattened_mut() {
+            *point = turn * *point;
         }
     }
 

@@ -285,6 +285,7 @@ impl Release for StoredDataset {
         check_skeleton(&row.skeleton, options)?;
         let motion = row.motion().map_err(|error| refused(error.to_string()))?;
         let frame = |frame: i32| usize::try_from(frame).unwrap_or(0);
+        let rotation_source = RotationSource::of_name(&row.rotation_source).unwrap_or_default();
         let captions = row.stated_captions().cloned().collect();
         let by_origin = row.captions_by_origin();
         let made = by_origin.filter(|(_, origin)| *origin == CAPTION_BY_RULE);
@@ -308,12 +309,11 @@ impl Release for StoredDataset {
             edits: self.labels.edits_of(&entry.id),
             markers: markers.map(stored_markers).transpose()?,
             features: features.map(|row| row.features),
-            ..SourceClip::new(motion, RotationSource::of_name(&row.rotation_source))
+            ..SourceClip::new(motion, rotation_source)
         })
     }
 }
 
-/// Folder of a dataset with a final slash, and version of the manifest; `None` if the file is no manifest.
 /// The manifest in a file; `None` if the file is another program's.
 fn manifest_of(files: &Files, file: &str) -> Result<Option<Manifest>, Rejected> {
     let bytes = files.read(file)?;
@@ -338,6 +338,7 @@ fn is_beside(name: &str) -> bool {
         || name.starts_with("data/")
 }
 
+/// Folder of a dataset with a final slash, and version of the manifest; `None` if the file is no manifest.
 fn root_and_version(file: &str) -> Option<(&str, u64)> {
     let at = file.rfind("meta/manifest-")?;
     let root = &file[..at];

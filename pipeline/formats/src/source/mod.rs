@@ -298,7 +298,7 @@ mod tests {
     #[test]
     fn a_whole_file_becomes_a_labelled_clip_on_the_floor() {
         let skeleton = Skeleton::smplx_neutral();
-        let text = RigText::smplx().write(&walk(60), &skeleton);
+        let text = RigText::smplx().write(&walk(60));
         let path = Path::new("set/dataset-1_walk_proud_001.bvh");
         let beside = |name: &str| {
             let is_caption = name == "dataset-1_walk_proud_001.txt";

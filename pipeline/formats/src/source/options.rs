@@ -11,7 +11,7 @@ use crate::markers::MarkerSet;
 use crate::retarget::UserMap;
 
 /// Options for turning files into clips.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct ReadOptions {
     /// Skeleton the motions are posed on.
     pub skeleton: Skeleton,
@@ -30,19 +30,4 @@ pub struct ReadOptions {
     pub lenient: bool,
     /// Body models by gender, to compute features of AMASS on each subject's own body.
     pub subjects: Option<Arc<Subjects>>,
-}
-
-impl Default for ReadOptions {
-    fn default() -> Self {
-        Self {
-            skeleton: Skeleton::smplx_neutral(),
-            user_map: None,
-            markers: None,
-            unit: None,
-            up: None,
-            rate: None,
-            lenient: false,
-            subjects: None,
-        }
-    }
 }

@@ -1,13 +1,14 @@
 //! Shared parts of the readers' tests.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use datasets_spec::store::{ByPath, Store as _};
 use datasets_spec::{Motion, Skeleton, Split};
 use proptest::sample::Index;
 use testkit::put;
+pub(super) use testkit::test_data;
 
-use super::{Entry, Files, ReadOptions, Release};
+use super::{Entry, Files, Format, ReadOptions, Release};
 use clip::{Rejected, SourceClip};
 
 /// Files in a temporary folder.
@@ -89,8 +90,9 @@ pub(crate) fn assert_refused(rejected: &Rejected, code: &str, words: &str) {
     assert_contains(&rejected.reason, words);
 }
 
-/// The one release that was found.
-pub(super) fn only(mut releases: Vec<Box<dyn Release>>) -> Box<dyn Release> {
+/// The one release of a format among the files.
+pub(super) fn only_release(format: Format, files: &Files) -> Box<dyn Release> {
+    let mut releases = (format.find)(files);
     assert_eq!(releases.len(), 1);
     releases.pop().expect("one")
 }
@@ -139,27 +141,4 @@ pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
         edited[at] = byte;
     }
     edited
-}
-
-/// A folder or file of the real test data; `None` if `STANCE_TEST_DATA` is not set.
-///
-/// # Panics
-/// If the variable is set and there is no such folder or file: a requested test must not pass without running.
-#[track_caller]
-pub(super) fn test_data(path: &str) -> Option<PathBuf> {
-    let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {
-        skipped(path);
-        return None;
-    };
-    let found = Path::new(&root).join(path);
-    assert!(found.exists(), "found no {}", found.display());
-    Some(found)
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped(path: &str) {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has {path}");
 }

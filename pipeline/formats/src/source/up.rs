@@ -5,6 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use glam::{DQuat, DVec3};
+use serde::de::value::{Error, StrDeserializer};
 use serde::{Deserialize, Serialize};
 
 /// The up axis of a file.
@@ -29,16 +30,6 @@ pub enum Up {
     #[serde(rename = "-z")]
     MinusZ,
 }
-
-/// The axes with their names.
-const NAMES: [(Up, &str); 6] = [
-    (Up::X, "x"),
-    (Up::MinusX, "-x"),
-    (Up::Y, "y"),
-    (Up::MinusY, "-y"),
-    (Up::Z, "z"),
-    (Up::MinusZ, "-z"),
-];
 
 /// Error of parsing an axis.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -77,16 +68,13 @@ impl FromStr for Up {
     type Err = UpError;
 
     fn from_str(text: &str) -> Result<Self, UpError> {
-        let known = NAMES.iter().find(|(_, name)| *name == text);
-        known
-            .map(|(up, _)| *up)
-            .ok_or_else(|| UpError(text.to_owned()))
+        let named = StrDeserializer::<Error>::new(text);
+        Self::deserialize(named).map_err(|_| UpError(text.to_owned()))
     }
 }
 
 impl fmt::Display for Up {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = NAMES.iter().find(|(up, _)| up == self);
-        f.write_str(name.map_or("", |(_, name)| name))
+        self.serialize(f)
     }
 }

@@ -162,7 +162,8 @@ impl Release for Shards {
         let said = facts.captions.into_iter();
         let (made, stated): (Vec<_>, Vec<_>) = said.partition(LabelCaption::is_made);
         let texts = |said: Vec<LabelCaption>| said.into_iter().map(|said| said.caption).collect();
-        let rotations = facts.rotation_source.as_deref().unwrap_or_default();
+        let rotations = facts.rotation_source.as_deref();
+        let rotations = rotations.and_then(RotationSource::of_name);
         Ok(SourceClip {
             captions: texts(stated),
             made_captions: texts(made),
@@ -172,7 +173,7 @@ impl Release for Shards {
             style: facts.style,
             license: facts.license,
             fit_error_m: facts.fit_error_m,
-            ..SourceClip::new(motion, RotationSource::of_name(rotations))
+            ..SourceClip::new(motion, rotations.unwrap_or_default())
         })
     }
 }

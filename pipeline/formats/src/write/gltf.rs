@@ -299,21 +299,17 @@ const RINGS: u16 = 4;
 
 impl Mesh {
     fn of_body(skeleton: &Skeleton) -> Self {
-        let between = LIMBS.map(|(joint, end, radius)| Limb {
-            joint,
-            from: skeleton.rest(joint),
-            to: skeleton.rest(end),
-            radius,
-        });
-        let ends = ENDS.map(|(joint, offset, radius)| Limb {
-            joint,
-            from: skeleton.rest(joint),
-            to: skeleton.rest(joint) + offset,
-            radius,
-        });
+        let between = LIMBS.map(|(joint, end, radius)| (joint, skeleton.rest(end), radius));
+        let ends =
+            ENDS.map(|(joint, offset, radius)| (joint, skeleton.rest(joint) + offset, radius));
         let mut mesh = Self::default();
-        for limb in between.iter().chain(&ends) {
-            mesh.add_capsule(limb);
+        for (joint, to, radius) in between.into_iter().chain(ends) {
+            mesh.add_capsule(&Limb {
+                joint,
+                from: skeleton.rest(joint),
+                to,
+                radius,
+            });
         }
         mesh
     }

@@ -47,7 +47,8 @@ impl Machine<'_> {
         if item.dtype.is_none() {
             return Ok(Err(data));
         }
-        let array = self.make_array(item, Vec::new(), data, false)?;
+        let raw = self.take_bytes(data)?;
+        let array = self.array_of_bytes(item, Vec::new(), raw, false)?;
         let text = array.to_text().and_then(|mut texts| texts.pop());
         let number = array.to_f64().and_then(|mut numbers| numbers.pop());
         Ok(Ok(match (array.dtype(), text, number) {
@@ -67,7 +68,8 @@ impl Machine<'_> {
         };
         let fortran = self.text_of(order) == Some("F");
         let (item, shape) = (self.as_item_type(item)?, self.as_shape(shape)?);
-        self.make_array(item, shape, buffer, fortran)
+        let raw = self.take_bytes(buffer)?;
+        self.array_of_bytes(item, shape, raw, fortran)
             .map(array_node)
     }
 
@@ -152,7 +154,9 @@ impl Machine<'_> {
             _ => false,
         };
         if item.dtype.is_some() {
-            return self.make_array(item, shape, data, fortran).map(array_node);
+            let raw = self.take_bytes(data)?;
+            let array = self.array_of_bytes(item, shape, raw, fortran);
+            return array.map(array_node);
         }
         match self.node(data) {
             Node::List(items) if array::count(&shape) == Some(items.len()) => {
@@ -237,17 +241,6 @@ impl Machine<'_> {
         self.wrapped_arrays = true;
         (self.stack, self.marks, self.memo) = outer;
         Ok(self.node(inner).clone())
-    }
-
-    fn make_array(
-        &mut self,
-        item: ItemType,
-        shape: Vec<usize>,
-        data: Id,
-        fortran: bool,
-    ) -> Result<Array, Error> {
-        let raw = self.take_bytes(data)?;
-        self.array_of_bytes(item, shape, raw, fortran)
     }
 
     fn array_of_bytes(

@@ -246,7 +246,7 @@ impl Machine<'_> {
             Node::Tuple(parts) => parts.clone(),
             _ => Vec::new(),
         };
-        match self.node(target) {
+        let node = match self.node(target) {
             Node::PendingArray => {
                 // Very old arrays state no version.
                 let (&[_, shape, item, fortran, data] | &[shape, item, fortran, data]) =
@@ -257,26 +257,21 @@ impl Machine<'_> {
                         parts.len()
                     )));
                 };
-                let node = self.array_of_state(shape, item, fortran, data)?;
-                self.nodes[target as usize] = node;
+                self.array_of_state(shape, item, fortran, data)?
             }
-            Node::ItemType(item) => {
-                let item = self.ordered(*item, &parts)?;
-                self.nodes[target as usize] = Node::ItemType(item);
-            }
-            Node::PendingWrapper => {
-                let node = self.wrapped_array(state)?;
-                self.nodes[target as usize] = node;
-            }
+            Node::ItemType(item) => Node::ItemType(self.ordered(*item, &parts)?),
+            Node::PendingWrapper => self.wrapped_array(state)?,
             // Attributes of an ordered dictionary, such as the layer versions that PyTorch keeps in
             // `_metadata`, are not part of its value.
-            Node::Dict(_) if matches!(self.node(state), Node::Dict(_)) => {}
-            Node::Dict(_) if state == NONE => {}
+            Node::Dict(_) if state == NONE || matches!(self.node(state), Node::Dict(_)) => {
+                return Ok(());
+            }
             other => {
                 let kind = other.kind();
                 return Err(self.malformed(format!("found a state for {kind}")));
             }
-        }
+        };
+        self.nodes[target as usize] = node;
         Ok(())
     }
 }

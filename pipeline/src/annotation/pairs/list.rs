@@ -161,12 +161,9 @@ impl PairList {
                          project to use it"
                     ));
                 }
-                match seen.insert(row.id.clone(), line.number) {
-                    None => Ok(row),
-                    Some(first) => {
-                        seen.insert(row.id, first);
-                        Err(format!("it repeats the pair of line {first}"))
-                    }
+                match *seen.entry(row.id.clone()).or_insert(line.number) {
+                    first if first == line.number => Ok(row),
+                    first => Err(format!("it repeats the pair of line {first}")),
                 }
             });
             match row {

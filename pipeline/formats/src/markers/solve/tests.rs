@@ -55,7 +55,7 @@ fn a_known_walk_is_found_in_its_markers() {
     let (poses, markers) = captured(90, 1.12);
     let found = solved(&markers).expect("a body");
     assert_eq!(found.markers.set.as_deref(), Some("cmu-41"));
-    assert_eq!(found.gaps, 0);
+    assert_eq!(found.flags, 0);
     let residuals = &found.markers.fit_residuals;
     let mean_residual = residuals.iter().sum::<f32>() / residuals.len() as f32;
     // The solver recovers marker displacements of up to 14 mm.
@@ -68,14 +68,13 @@ fn a_known_walk_is_found_in_its_markers() {
 #[test]
 fn a_mirrored_capture_is_doubtful_and_others_are_not() {
     let (_, markers) = captured(30, 1.0);
-    assert!(!solved(&markers).expect("a body").are_sides_doubtful);
+    assert_eq!(solved(&markers).expect("a body").flags, 0);
     let mut mirrored = markers;
     for [_, y, _] in &mut mirrored.positions {
         *y = -*y;
     }
     let found = solved(&mirrored).expect("a body");
-    assert!(found.are_sides_doubtful, "{:?}", found.notes);
-    assert!(!found.is_up_doubtful);
+    assert_eq!(found.flags, FLAG_SIDES_DOUBTFUL, "{:?}", found.notes);
 }
 
 #[test]
@@ -90,7 +89,9 @@ fn gaps_are_bridged_and_counted() {
         markers.residuals[frame * count..(frame + 1) * count].fill(-1.0);
     }
     let found = solved(&markers).expect("a body");
-    assert_eq!(found.gaps, 5);
+    assert_eq!(found.flags, FLAG_GAPS_FILLED);
+    let gaps = found.notes.last().expect("a note");
+    assert!(gaps.starts_with("5 frames showed"), "{gaps}");
     assert_eq!(found.markers.fit_residuals[32], -1.0);
     assert!(apart(&found.motion.pose(32), &poses[32]) < 0.06);
 }

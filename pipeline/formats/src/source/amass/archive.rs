@@ -182,9 +182,6 @@ fn matrix<'a>(
 
 /// Shape parameters of the subject's body; empty if the archive has none that can be read.
 fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
-    if !archive.has("betas") {
-        return Vec::new();
-    }
     let betas = archive.numbers("betas").map(|array| array.values);
     betas
         .ok()

@@ -188,33 +188,25 @@ impl Parameters<'_> {
     }
 }
 
-/// Body model of the parameters of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Variant {
-    /// The 22 joints that all models share.
-    BodyOnly,
-    /// SMPL, 24 joints.
-    Smpl,
-    /// SMPL-H for the subject's gender, 52 joints. HumanML3D uses it.
-    SmplH,
-    /// SMPL-X for the subject's gender, 55 joints.
-    SmplXGendered,
-    /// SMPL-X, neutral body.
-    SmplXNeutral,
+datasets_spec::named! {
+    /// Body model of the parameters of a recording, with its name on the AMASS download page, or a description of a
+    /// model that has no such name.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Variant, named by as_str {
+        /// The 22 joints that all models share.
+        BodyOnly = "body only",
+        /// SMPL, 24 joints.
+        Smpl = "SMPL",
+        /// SMPL-H for the subject's gender, 52 joints. HumanML3D uses it.
+        SmplH = "SMPL-H G",
+        /// SMPL-X for the subject's gender, 55 joints.
+        SmplXGendered = "SMPL-X G",
+        /// SMPL-X, neutral body.
+        SmplXNeutral = "SMPL-X N",
+    }
 }
 
 impl Variant {
-    /// The name on the AMASS download page, or a description of a model that has no such name.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::BodyOnly => "body only",
-            Self::Smpl => "SMPL",
-            Self::SmplH => "SMPL-H G",
-            Self::SmplXGendered => "SMPL-X G",
-            Self::SmplXNeutral => "SMPL-X N",
-        }
-    }
-
     /// Whether the parameters are those of SMPL-X.
     pub fn is_smplx(self) -> bool {
         matches!(self, Self::SmplXGendered | Self::SmplXNeutral)

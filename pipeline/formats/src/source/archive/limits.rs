@@ -38,11 +38,20 @@ impl Budget {
         most.saturating_sub(self.bytes)
     }
 
-    /// Counts a member.
+    /// Counts a member and its bytes.
     ///
     /// # Errors
     /// The member exceeds a limit, which the error names.
     pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
+        self.take_member()?;
+        self.take_bytes(bytes)
+    }
+
+    /// Counts a member, of which nothing may be read.
+    ///
+    /// # Errors
+    /// There are too many members.
+    pub(super) fn take_member(&mut self) -> Result<(), String> {
         self.members += 1;
         if self.members > self.max_members {
             return Err(format!(
@@ -50,6 +59,14 @@ impl Budget {
                 self.max_members
             ));
         }
+        Ok(())
+    }
+
+    /// Counts the bytes of a member.
+    ///
+    /// # Errors
+    /// The members have too many bytes.
+    pub(super) fn take_bytes(&mut self, bytes: u64) -> Result<(), String> {
         if bytes > self.bytes_left() {
             return Err(format!(
                 "{} bytes unpack to more than {} bytes: the limits are {} times the size of the archive and {} bytes; \

@@ -114,14 +114,6 @@ fn decoder<'a>(kind: Kind, packed: impl Read + 'a) -> Box<dyn Read + 'a> {
     }
 }
 
-/// Error message for an archive that unpacks to too many bytes.
-fn exceeded(packed: u64, most: u64) -> String {
-    format!(
-        "{packed} bytes unpack to more than {most} bytes; if its files are really so large, unpack it and name the \
-         folder"
-    )
-}
-
 /// Unpacks a packed tar archive into the scratch folder.
 pub(super) fn unpack(
     path: &Path,
@@ -134,7 +126,7 @@ pub(super) fn unpack(
         Ok(packed) => packed,
         Err(error) => return Ok(Err(unreadable(&error))),
     };
-    let (place, is_exceeded) = (Cell::new(0), Cell::new(false));
+    let (place, is_exceeded, is_at_end) = <(Cell<u64>, Cell<bool>, Cell<bool>)>::default();
     let packed = Counting {
         inner: packed,
         count: &place,
@@ -151,8 +143,17 @@ pub(super) fn unpack(
         left: most,
         is_exceeded: &is_exceeded,
     };
-    let too_much = || too_large(exceeded(packed_size, most), place.get());
-    let is_at_end = Cell::new(false);
+    let too_much = || {
+        let reason = format!(
+            "{packed_size} bytes unpack to more than {most} bytes; if its files are really so large, unpack it and \
+             name the folder"
+        );
+        too_large(reason, place.get())
+    };
+    let cut_off = |mut content: Content, end: u64, error: &io::Error| {
+        content.refuse("", DAMAGED, broken(end, error), place.get());
+        Ok(Ok(content))
+    };
     let mut archive = tar::Archive::new(Ending {
         inner: unpacked,
         is_at_end: &is_at_end,
@@ -166,11 +167,8 @@ pub(super) fn unpack(
         let mut entry = match entry {
             Ok(entry) => entry,
             Err(_) if is_exceeded.get() => return Ok(Err(too_much())),
-            Err(error) => {
-                let end = if is_first { 0 } else { place.get() };
-                content.refuse("", DAMAGED, broken(end, &error), place.get());
-                return Ok(Ok(content));
-            }
+            Err(error) if is_first => return cut_off(content, 0, &error),
+            Err(error) => return cut_off(content, place.get(), &error),
         };
         is_first = false;
         let size = entry.size();
@@ -181,17 +179,14 @@ pub(super) fn unpack(
             continue;
         };
         let to = scratch.file()?;
-        let copied = copy(&mut entry, &to)?;
-        match copied {
+        match copy(&mut entry, &to)? {
             Ok(copied) if copied == size => {
                 content.add(name, Member::Unpacked { path: to, size });
             }
             _ if is_exceeded.get() => return Ok(Err(too_much())),
             copied => {
                 let error = copied.err().unwrap_or(io::ErrorKind::UnexpectedEof.into());
-                let what = broken(place.get().max(1), &error);
-                content.refuse("", DAMAGED, what, place.get());
-                return Ok(Ok(content));
+                return cut_off(content, place.get().max(1), &error);
             }
         }
     }

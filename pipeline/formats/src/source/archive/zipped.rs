@@ -35,6 +35,8 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         }
         let at = entry.header_start();
+        let counted = budget.take_member();
+        counted.map_err(|reason| too_large(reason, at))?;
         let name = entry.name();
         let raw = name
             .as_ref()
@@ -69,9 +71,50 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         }
         let size = entry.size();
-        budget.take(size).map_err(|reason| too_large(reason, at))?;
+        let counted = budget.take_bytes(size);
+        counted.map_err(|reason| too_large(reason, at))?;
         content.add(name, Member::Zipped { number, size });
     }
     content.read_from = Some(ReadFrom::Zip(file, zip));
     Ok(content)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Cursor, Write};
+
+    use zip::ZipWriter;
+    use zip::write::SimpleFileOptions;
+
+    use super::super::content::LIMIT;
+    use super::*;
+
+    #[test]
+    fn members_that_are_not_read_count_towards_the_limit() {
+        let options = SimpleFileOptions::default();
+        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+        for link in ["a", "b"] {
+            writer
+                .add_symlink(link, "walk.bvh", options)
+                .expect("in memory");
+        }
+        writer
+            .start_file("../walk.bvh", options)
+            .expect("in memory");
+        writer.write_all(b"HIERARCHY").expect("in memory");
+        let bytes = writer.finish().expect("in memory").into_inner();
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        testkit::put(folder.path(), "takes.zip", &bytes);
+        let content_within = |max_members: u64| {
+            let budget = Budget {
+                max_members,
+                ..Budget::new(bytes.len() as u64)
+            };
+            content(&folder.path().join("takes.zip"), budget)
+        };
+        let content = content_within(3).expect("within the limit");
+        assert_eq!((content.special.len(), content.refused.len()), (2, 1));
+        let rejected = content_within(2).expect_err("too many members");
+        assert_eq!(rejected.code, LIMIT);
+    }
 }

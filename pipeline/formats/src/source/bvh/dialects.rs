@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3, EulerRot};
 use kinematics::rotation::{angle_between, from_axis_angle};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
-use super::soma::tests::frame;
+use super::soma::orientation;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::release_tests::{assert_notes, assert_refused, assert_says};
@@ -110,17 +110,10 @@ impl RigText {
         rig.frame_time = 1.0 / 120.0;
         rig.joints[1].has_positions = true;
         for index in 1..rig.joints.len() {
-            let name = rig.joints[index].name.clone();
-            let above = rig.joints[index]
-                .parent
-                .map(|parent| rig.joints[parent].frame);
-            let stated = frame(&name);
-            let is_stated = super::soma::tests::is_stated(&name);
-            rig.joints[index].frame = if is_stated {
-                stated
-            } else {
-                above.unwrap_or(DQuat::IDENTITY)
-            };
+            let joint = &rig.joints[index];
+            let above = joint.parent.map(|parent| rig.joints[parent].frame);
+            let stated = orientation(&joint.name);
+            rig.joints[index].frame = stated.or(above).unwrap_or(DQuat::IDENTITY);
             // Joints that the body lacks are placed a little beyond their parent.
             if let Some(parent) = rig.joints[index].parent.filter(|_| index > 1)
                 && rig.joints[parent].body == rig.joints[index].body
@@ -170,8 +163,9 @@ impl RigText {
         )
     }
 
-    /// Writes poses of the body as a file.
-    pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
+    /// Writes poses of the neutral body as a file.
+    pub(crate) fn write(&self, poses: &[Pose]) -> String {
+        let skeleton = Skeleton::smplx_neutral();
         let zero = self.zero.unwrap_or(Pose::REST);
         let zero_rotations = skeleton.global_rotations(&zero);
         // World positions and rotations of the joints for a pose of the body.
@@ -314,14 +308,14 @@ fn soma_joints() -> String {
     joints
 }
 
-fn read_text(text: &str) -> Result<SourceClip, Rejected> {
+/// Reads the text of a file.
+pub(crate) fn read_text(text: &str) -> Result<SourceClip, Rejected> {
     super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
 }
 
 /// Writes poses as a file of a rig, and reads the file.
-fn carried(rig: &RigText, poses: &[Pose]) -> SourceClip {
-    let text = rig.write(poses, &Skeleton::smplx_neutral());
-    read_text(&text).expect("a body")
+pub(crate) fn carried(rig: &RigText, poses: &[Pose]) -> SourceClip {
+    read_text(&rig.write(poses)).expect("a body")
 }
 
 /// Asserts that the limb bones have the directions of the poses, to within an angle in radians.
@@ -413,7 +407,7 @@ fn a_published_frame_is_a_person_who_stands_with_hanging_arms() {
     ];
     let skeleton = Skeleton::smplx_neutral();
     let rig = RigText::soma();
-    let text = rig.write(&vec![Pose::REST; 3], &skeleton);
+    let text = rig.write(&vec![Pose::REST; 3]);
     let (head, _) = text.split_once("Frame Time: 0.008333\n").expect("a head");
     let mut row = String::new();
     for index in rig.depth_first(0) {
@@ -477,7 +471,6 @@ fn soma_rigs_with_a_standing_zero_pose_are_read_by_it() {
 
 #[test]
 fn rest_rotations_beside_offsets_are_soma_s_alone() {
-    let skeleton = Skeleton::smplx_neutral();
     let poses = walk(20);
     let mut rig = RigText::soma();
     rig.six_numbers = true;
@@ -485,7 +478,7 @@ fn rest_rotations_beside_offsets_are_soma_s_alone() {
     assert_same_motion(&clip, &poses);
     let mut other = RigText::nokov();
     other.six_numbers = true;
-    let text = other.write(&poses, &skeleton);
+    let text = other.write(&poses);
     let rejected = read_text(&text).expect_err("ambiguous");
     assert_refused(&rejected, "E-BVH-SYNTAX", "six numbers");
     let at = rejected.byte_offset.expect("a place") as usize;
@@ -539,8 +532,7 @@ fn nokov_files_with_bones_along_x_are_aligned_by_their_motion() {
 
 #[test]
 fn a_soma_file_with_wrong_names_or_too_few_rows_is_refused() {
-    let skeleton = Skeleton::smplx_neutral();
-    let text = RigText::soma().write(&walk(4), &skeleton);
+    let text = RigText::soma().write(&walk(4));
     let twice = text.replace("JOINT LeftHandThumb1\n", "JOINT LeftShin\n");
     let rejected = read_text(&twice).expect_err("two left shins");
     assert_refused(&rejected, "E-BVH-SKELETON", "2 joints named \"LeftShin\"");

@@ -51,38 +51,20 @@ impl BvhFile {
     /// As [`BvhFile::parse`]; `E-IO` if the file cannot be read.
     pub fn read(file: &mut dyn Read, length: usize, lenient: bool) -> Result<Self, Rejected> {
         let mut pieces = Pieces::new(file);
-        let header = pieces.header()?;
-        let mut rows = Rows::new(header.num_frames, header.num_channels, length);
+        let mut bvh = pieces.header()?;
+        let mut rows = Rows::new(bvh.stated_frames, bvh.num_channels, length);
         while let Some((offset, lines)) = pieces.lines()? {
             rows.take(lines, offset)?;
         }
-        let mut values = rows.finish(lenient, pieces.offset)?;
-        let num_rows = values.len() / header.num_channels;
-        let num_frames = num_rows.min(header.num_frames);
-        values.truncate(num_frames * header.num_channels);
-        Ok(Self {
-            joints: header.joints,
-            num_channels: header.num_channels,
-            fps: header.fps,
-            num_frames,
-            values,
-            num_rows,
-            stated_frames: header.num_frames,
-        })
+        bvh.values = rows.finish(lenient, pieces.offset)?;
+        bvh.num_rows = bvh.values.len() / bvh.num_channels;
+        bvh.num_frames = bvh.num_rows.min(bvh.stated_frames);
+        bvh.values.truncate(bvh.num_frames * bvh.num_channels);
+        Ok(bvh)
     }
-}
 
-/// Everything before the rows.
-struct Header {
-    joints: Vec<BvhJoint>,
-    num_channels: usize,
-    num_frames: usize,
-    fps: Fps,
-}
-
-impl Header {
-    /// Parses the header, and returns the offset of the rows.
-    fn parse(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
+    /// Parses everything before the rows, and returns a file without rows and the offset of the rows.
+    fn parse_header(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
         let mut cursor = Cursor {
             bytes,
             at: bytes.strip_prefix(UTF8_BOM).map_or(0, |_| UTF8_BOM.len()),
@@ -102,15 +84,18 @@ impl Header {
         }
         cursor.keyword("MOTION")?;
         cursor.keyword("FRAMES:")?;
-        let num_frames = cursor.count("a number of frames")?;
+        let stated_frames = cursor.count("a number of frames")?;
         let fps = parse_frame_time(&mut cursor)?;
-        let header = Self {
+        let bvh = Self {
             joints,
             num_channels,
-            num_frames,
             fps,
+            num_frames: 0,
+            values: Vec::new(),
+            num_rows: 0,
+            stated_frames,
         };
-        Ok((header, cursor.at))
+        Ok((bvh, cursor.at))
     }
 }
 
@@ -162,15 +147,16 @@ impl<'a> Pieces<'a> {
         Ok(())
     }
 
-    fn header(&mut self) -> Result<Header, Rejected> {
+    /// The file without its rows.
+    fn header(&mut self) -> Result<BvhFile, Rejected> {
         loop {
             self.read()?;
             let last = self.ended || self.text.len() >= Self::MAX_HEADER;
-            match Header::parse(&self.text) {
+            match BvhFile::parse_header(&self.text) {
                 // The frame time may continue in the next piece.
-                Ok((header, at)) if last || at < self.text.len() => {
+                Ok((bvh, at)) if last || at < self.text.len() => {
                     self.used = at;
-                    return Ok(header);
+                    return Ok(bvh);
                 }
                 Err(rejected) if last => return Err(rejected),
                 _ => {}

@@ -138,18 +138,10 @@ impl BvhFile {
 pub(super) const BLOCK: usize = 32;
 
 /// A joint's transforms in its parent's frame, for a block of frames.
+#[derive(Default)]
 pub(super) struct LocalBlock {
     pub(super) positions: [DVec3; BLOCK],
     pub(super) rotations: [DQuat; BLOCK],
-}
-
-impl Default for LocalBlock {
-    fn default() -> Self {
-        Self {
-            positions: [DVec3::ZERO; BLOCK],
-            rotations: [DQuat::IDENTITY; BLOCK],
-        }
-    }
 }
 
 impl LocalBlock {

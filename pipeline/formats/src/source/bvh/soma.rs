@@ -46,7 +46,7 @@ const ARM: [(&str, f64, f64); 4] = [
 
 /// Orientation of a joint in the T-pose, with y up and the person facing +z; `None` for joints that the pose does not
 /// state.
-fn orientation(name: &str) -> Option<DQuat> {
+pub(super) fn orientation(name: &str) -> Option<DQuat> {
     let name = bare(name);
     let upright = UPRIGHT.iter().find(|(joint, _)| *joint == name);
     if let Some((_, pitch)) = upright {
@@ -90,18 +90,8 @@ pub(super) fn t_pose(joints: &[BvhJoint]) -> Option<Vec<Placed>> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-
-    /// [`orientation`] for the fixtures of other tests.
-    pub(in crate::source::bvh) fn frame(name: &str) -> DQuat {
-        orientation(name).unwrap_or(DQuat::IDENTITY)
-    }
-
-    /// Whether the T-pose states the joint.
-    pub(in crate::source::bvh) fn is_stated(name: &str) -> bool {
-        orientation(name).is_some()
-    }
 
     /// First and second column of published rotations.
     const PUBLISHED: [(&str, [f64; 3], [f64; 3]); 12] = [

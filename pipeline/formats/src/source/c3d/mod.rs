@@ -84,14 +84,9 @@ struct Header {
 
 impl Header {
     fn read(bytes: &[u8], processor: Processor) -> Self {
-        let word = |number: usize| {
-            let at = 2 * (number - 1);
-            processor.u16([bytes[at], bytes[at + 1]])
-        };
-        let real = |number: usize| {
-            let at = 2 * (number - 1);
-            processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
-        };
+        // Words are counted from one; a real number takes two.
+        let word = |number: usize| processor.u16(bytes.as_chunks().0[number - 1]);
+        let real = |number: usize| processor.f32(bytes.as_chunks().0[(number - 1) / 2]);
         let (first, last) = (usize::from(word(4)), usize::from(word(5)));
         Self {
             points: word(2).into(),
@@ -150,19 +145,7 @@ impl Layout {
             let reason = format!("found {found} frames a second, expected a rate");
             header_error(20, reason)
         })?;
-        let data_block = match header.data_block {
-            0 => stated("DATA_START").map_or(0, |block| block.max(0.0) as usize),
-            block => block,
-        };
-        let start = data_block.saturating_sub(1) * BLOCK;
-        if start < BLOCK || start >= bytes.len() {
-            return Err(rejected!(
-                "E-C3D-TRUNCATED",
-                "the frames are said to be in block {data_block}, the file has {}",
-                bytes.len().div_ceil(BLOCK)
-            )
-            .at(bytes.len()));
-        }
+        let start = data_start(bytes, header, parameters)?;
         let value_size = if scale < 0.0 { 4 } else { 2 };
         let frame_size = (4 * points + header.analog_per_frame) * value_size;
         let room = (bytes.len() - start) / frame_size;
@@ -259,11 +242,7 @@ impl Layout {
         let mut points = Vec::with_capacity(self.frames * self.points);
         for frame in data.chunks_exact(self.frame_size) {
             for point in frame[..4 * self.points * size].chunks_exact(4 * size) {
-                points.push(if size == 4 {
-                    real_point(point, processor, self.scale)
-                } else {
-                    whole_point(point, processor, self.scale)
-                });
+                points.push(Point::read(point, processor, self.scale));
             }
         }
         points
@@ -278,38 +257,55 @@ struct Point {
 }
 
 impl Point {
+    /// Reads a point of four numbers: real ones if the scale is negative, else whole ones, whose unit is the scale.
+    fn read(bytes: &[u8], processor: Processor, scale: f64) -> Self {
+        let is_real = scale < 0.0;
+        let value = |index: usize| match is_real {
+            true => f64::from(processor.f32(bytes.as_chunks().0[index])),
+            false => f64::from(processor.i16(bytes.as_chunks().0[index])),
+        };
+        let at = DVec3::new(value(0), value(1), value(2));
+        let at = if is_real { at } else { at * scale };
+        // The fourth number is an integer: cameras in its high byte, the residual in its low byte.
+        let packed = value(3);
+        let residual = if packed < 0.0 || !packed.is_finite() || !at.is_finite() {
+            -1.0
+        } else {
+            f64::from(packed.min(f64::from(u16::MAX)) as u16 & 0xFF) * scale.abs()
+        };
+        Self { at, residual }
+    }
+
     /// Whether the point was seen. Some programs write unseen points at the origin with a valid residual.
     fn is_seen(self) -> bool {
         self.residual >= 0.0 && self.at != DVec3::ZERO
     }
 }
 
-fn real_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
-    let value = |index: usize| {
-        let at = 4 * index;
-        f64::from(processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
-    };
-    let at = DVec3::new(value(0), value(1), value(2));
-    // The fourth number is an integer: cameras in its high byte, the residual in its low byte.
-    let packed = value(3);
-    let residual = if packed < 0.0 || !packed.is_finite() || !at.is_finite() {
-        -1.0
-    } else {
-        f64::from(packed.min(f64::from(u16::MAX)) as u16 & 0xFF) * scale.abs()
-    };
-    Point { at, residual }
-}
-
-fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
-    let value = |index: usize| processor.i16([bytes[2 * index], bytes[2 * index + 1]]);
-    let at = DVec3::new(value(0).into(), value(1).into(), value(2).into()) * scale;
-    let packed = value(3);
-    let residual = if packed < 0 {
-        -1.0
-    } else {
-        f64::from(packed & 0xFF) * scale
-    };
-    Point { at, residual }
+/// Byte offset of the frames: where the parameter says, or the header if the parameter leads nowhere.
+fn data_start(
+    bytes: &[u8],
+    header: &Header,
+    parameters: &Parameters<'_>,
+) -> Result<usize, Rejected> {
+    let by_header = Some(header.data_block).filter(|block| *block > 0);
+    let by_parameter = parameters.count("POINT", "DATA_START");
+    let of_parameters = usize::from(bytes[0]);
+    let num_blocks = bytes.len().div_ceil(BLOCK);
+    let claims = [
+        by_parameter.filter(|block| *block != of_parameters),
+        by_header,
+    ];
+    let in_file = |block: &usize| (2..=num_blocks).contains(block);
+    let block = claims.into_iter().flatten().find(in_file).ok_or_else(|| {
+        let claimed = by_header.or(by_parameter).unwrap_or(0);
+        rejected!(
+            "E-C3D-TRUNCATED",
+            "the frames are said to be in block {claimed}, the file has {num_blocks}"
+        )
+        .at(bytes.len())
+    })?;
+    Ok((block - 1) * BLOCK)
 }
 
 /// Number of frames: the first that fits into the file, from the parameters (for long captures in two words or as a
@@ -325,16 +321,7 @@ fn frame_count(
         (Some(first), Some(last)) if last >= first => Some(last - first + 1),
         _ => None,
     };
-    let whole = |name: &str| {
-        let number = parameters.number("POINT", name)?;
-        // Sixteen-bit words are read as signed, but a count is unsigned.
-        let number = if number < 0.0 {
-            number + 65_536.0
-        } else {
-            number
-        };
-        (number >= 1.0).then_some(number as usize)
-    };
+    let whole = |name: &str| parameters.count("POINT", name);
     let claims = [
         ("TRIAL:ACTUAL fields", trial),
         ("POINT:LONG_FRAMES", whole("LONG_FRAMES")),

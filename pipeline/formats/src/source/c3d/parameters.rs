@@ -184,6 +184,17 @@ impl<'a> Parameters<'a> {
         Some(number).filter(|number| number.is_finite())
     }
 
+    /// A number of blocks or frames: unsigned, although words are read as signed. `None` if there are none.
+    pub(super) fn count(&self, group: &str, name: &str) -> Option<usize> {
+        let number = self.number(group, name)?;
+        let number = if number < 0.0 {
+            number + 65_536.0
+        } else {
+            number
+        };
+        (number >= 1.0).then_some(number as usize)
+    }
+
     /// A count in two words, the low one first for every processor, or as a real number.
     pub(super) fn long(&self, group: &str, name: &str) -> Option<usize> {
         match self.get(group, name)? {
@@ -249,11 +260,9 @@ fn value<'a>(cursor: &mut Cursor<'a>) -> Result<Value<'a>, Rejected> {
     let kind_at = cursor.at;
     let kind = cursor.byte()? as i8;
     let num_axes = cursor.byte()?;
-    let axes: Vec<usize> = cursor
-        .take(num_axes.into())?
-        .iter()
-        .map(|axis| usize::from(*axis))
-        .collect();
+    let axes = cursor.take(num_axes.into())?.iter();
+    let mut axes = axes.map(|axis| usize::from(*axis)).peekable();
+    let width = axes.peek().copied().unwrap_or(1);
     let size = match kind {
         -1 | 1 => 1,
         2 => 2,
@@ -266,10 +275,6 @@ fn value<'a>(cursor: &mut Cursor<'a>) -> Result<Value<'a>, Rejected> {
             .at(kind_at));
         }
     };
-    let length = axes
-        .iter()
-        .try_fold(size, |length: usize, axis| length.checked_mul(*axis))
-        .unwrap_or(usize::MAX);
-    let width = axes.first().copied().unwrap_or(1);
-    Ok((kind, width, cursor.take(length)?))
+    let length = axes.try_fold(size, usize::checked_mul);
+    Ok((kind, width, cursor.take(length.unwrap_or(usize::MAX))?))
 }

@@ -151,6 +151,31 @@ fn captures_of_more_than_65535_frames_are_read_whole() {
     assert!(!capture.notes.is_empty());
 }
 
+/// DATA_START is the master and the header holds a copy of it. Dance.c3d of c3d.org has a DATA_START of zero.
+#[test]
+fn the_frames_are_where_the_parameter_says_and_else_where_the_header_does() {
+    let good = file(84, true);
+    let last = b"\x05\x01UNITS";
+    let found = good.windows(last.len()).position(|name| name == last);
+    let end = found.expect("units") + last.len() + 2 + b"\xff\x01\x02mm\x00".len();
+    for (by_parameter, by_header) in [(3, 3), (3, 9), (3, 2), (3, 0), (0, 3), (2, 3), (900, 3)] {
+        let [low, high] = u16::to_le_bytes(by_parameter);
+        let start = parameter(1, "DATA_START", &[2, 0, low, high, 0], u16::to_le_bytes);
+        let mut bytes = good.clone();
+        bytes[end..end + start.len()].copy_from_slice(&start);
+        bytes[16..18].copy_from_slice(&u16::to_le_bytes(by_header));
+        let markers = captured(&bytes).markers;
+        let case = (by_parameter, by_header);
+        assert_eq!(markers, captured(&good).markers, "{case:?}");
+    }
+    let mut nowhere = good.clone();
+    nowhere[16..18].copy_from_slice(&[9, 0]);
+    let rejected = parse(&nowhere).expect_err("no such block");
+    assert_eq!(rejected.code, "E-C3D-TRUNCATED");
+    let said = "the frames are said to be in block 9, the file has 3";
+    assert_eq!(rejected.reason, said);
+}
+
 #[test]
 fn a_file_without_points_has_no_capture() {
     let mut empty = file(84, true);

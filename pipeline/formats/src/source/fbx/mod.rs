@@ -116,8 +116,10 @@ impl Performances {
             ..LoadOpts::default()
         };
         let scene = ufbx::load_memory(bytes, options).map_err(|error| rejected(&error))?;
-        if scene.nodes.len() > MAX_NODES {
-            return Err(limit("nodes", scene.nodes.len(), MAX_NODES));
+        let num_nodes = scene.nodes.len();
+        if num_nodes > MAX_NODES {
+            let reason = format!("found {num_nodes} nodes, expected at most {MAX_NODES}");
+            return Err(Rejected::read("E-FBX-LIMIT", reason));
         }
         let skeletons = skeletons(&scene);
         let takes = 0..scene.anim_stacks.len();
@@ -458,13 +460,6 @@ fn placed(matrix: &Matrix) -> Placed {
             false => DQuat::IDENTITY,
         },
     }
-}
-
-fn limit(what: &str, found: usize, most: usize) -> Rejected {
-    rejected!(
-        "E-FBX-LIMIT",
-        "found {found} {what}, expected at most {most}"
-    )
 }
 
 fn rejected(error: &ufbx::Error) -> Rejected {

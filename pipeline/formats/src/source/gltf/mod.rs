@@ -17,7 +17,7 @@ use document::Document;
 use gltf::json;
 use nodes::Tree;
 use performance::Performance;
-use skeleton::{Skeleton, moved_bodies};
+use skeleton::{Skeleton, Skins};
 
 use super::format::Format;
 use super::options::ReadOptions;
@@ -30,7 +30,8 @@ pub fn keys(bytes: &[u8]) -> Vec<String> {
     let keys = || -> Result<Vec<String>, Rejected> {
         let document = Document::parse(bytes)?;
         let tree = Tree::of(&document.root.nodes)?;
-        let motions = motions(&document, &tree).into_iter();
+        let skins = Skins::of(&document, &tree);
+        let motions = motions(&document, &skins).into_iter();
         Ok(motions.map(|motion| motion.key).collect())
     };
     keys().unwrap_or_default()
@@ -45,24 +46,25 @@ struct OfBody<'a> {
     /// Name of the animation.
     name: String,
     animation: &'a json::Animation,
-    skins: Vec<&'a json::Skin>,
+    /// First skin of the body.
+    main: usize,
     /// Place among the bodies of the animation.
     number: usize,
 }
 
 /// The motions of a file with skins, by animation and body.
-fn motions<'a>(document: &'a Document, tree: &Tree) -> Vec<OfBody<'a>> {
+fn motions<'a>(document: &'a Document<'_>, skins: &Skins<'_>) -> Vec<OfBody<'a>> {
     let animations = document.root.animations.iter().zip(document.names());
     let motions = animations.flat_map(|(animation, name)| {
-        let bodies = moved_bodies(document, tree, animation).into_iter();
-        bodies.enumerate().map(move |(number, skins)| OfBody {
+        let bodies = skins.moved_by(animation).into_iter();
+        bodies.enumerate().map(move |(number, main)| OfBody {
             key: match number {
                 0 => name.clone(),
                 _ => format!("{name} body {}", number + 1),
             },
             name: name.clone(),
             animation,
-            skins,
+            main,
             number,
         })
     });
@@ -88,14 +90,15 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     if document.root.skins.is_empty() {
         return no_motion("no skin in the file: its animations move objects, not a body");
     }
-    let motions = motions(&document, &tree);
+    let skins = Skins::of(&document, &tree);
+    let motions = motions(&document, &skins);
     let motion = motions
         .iter()
         .find(|motion| key.is_empty() || motion.key == key);
     let OfBody {
         name,
         animation,
-        skins,
+        main,
         number,
         ..
     } = motion.ok_or_else(|| {
@@ -105,8 +108,9 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
             motions.len()
         )
     })?;
+    let skins = skins.of_body(*main);
     let prop = "the animation moves no body with this skin, such as a prop";
-    let skeleton = match Skeleton::read(&document, &tree, skins) {
+    let skeleton = match Skeleton::read(&document, &tree, &skins) {
         Err(rejected) if *number > 0 && rejected.code == NO_BODY => return no_motion(prop),
         read => read?,
     };

@@ -1,5 +1,6 @@
 //! The skeleton of a skin: its joints, the nodes above them, and the bind pose.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
@@ -14,54 +15,113 @@ use clip::{Rejected, rejected};
 /// Limit on bones: joints of the skin and the nodes above them.
 const MAX_BONES: usize = 4096;
 
-/// The skins of each body that an animation moves, or of one body if it moves none. The first skin of a body is the one
-/// with the most joints among those that the animation moves, and the first body that of the largest such skin. Skins
-/// whose joints are ancestors or descendants of each other belong to one body, such as gloves and trousers.
-pub(super) fn moved_bodies<'a>(
-    document: &'a Document,
-    tree: &Tree,
-    animation: &json::Animation,
-) -> Vec<Vec<&'a json::Skin>> {
-    let moved: BTreeSet<usize> = animation
-        .channels
-        .iter()
-        .map(|channel| channel.target.node.value())
-        .collect();
-    let joints = |skin: &json::Skin| -> BTreeSet<usize> {
-        skin.joints.iter().map(json::Index::value).collect()
-    };
-    let is_moved = |skin: &json::Skin| !joints(skin).is_disjoint(&moved);
-    let above = |node: usize| {
-        let parent = |node: &usize| tree.parents.get(*node).copied().flatten();
-        std::iter::successors(Some(node), parent)
-    };
-    let is_of_body = |skin: &json::Skin, body: &[&json::Skin]| {
-        let (own, others) = (
-            joints(skin),
-            body.iter()
-                .flat_map(|skin| joints(skin))
-                .collect::<BTreeSet<_>>(),
-        );
-        let lies_below = |below: &BTreeSet<usize>, top: &BTreeSet<usize>| {
-            let mut nodes = below.iter().flat_map(|node| above(*node));
-            nodes.any(|node| top.contains(&node))
-        };
-        lies_below(&own, &others) || lies_below(&others, &own)
-    };
-    let mut left: Vec<&json::Skin> = document.root.skins.iter().collect();
-    let mut bodies: Vec<Vec<&json::Skin>> = Vec::new();
-    loop {
-        let skins = left.iter().enumerate().rev();
-        let main = skins.max_by_key(|(_, skin)| (is_moved(skin), skin.joints.len()));
-        let main = main.filter(|(_, skin)| is_moved(skin) || bodies.is_empty());
-        let Some((at, _)) = main else {
-            return bodies;
-        };
-        let mut body = vec![left.remove(at)];
-        while let Some(at) = left.iter().position(|skin| is_of_body(skin, &body)) {
-            body.push(left.remove(at));
+/// The skins of a file, sorted into bodies: skins whose joints are ancestors or descendants of each other belong to one
+/// body, such as gloves and trousers.
+pub(super) struct Skins<'a> {
+    skins: &'a [json::Skin],
+    nodes: &'a [json::Node],
+    tree: &'a Tree,
+    /// The skins that have a node as a joint, by node.
+    of_joint: BTreeMap<usize, Vec<usize>>,
+    /// The body of each skin, as the number of one of its skins.
+    bodies: Vec<usize>,
+}
+
+/// The nodes and skins that a search for bodies has seen. One for all bodies keeps the search linear: a node that was
+/// seen for an earlier body leads to no further skin.
+#[derive(Default)]
+struct Seen {
+    above: BTreeSet<usize>,
+    below: BTreeSet<usize>,
+    skins: BTreeSet<usize>,
+}
+
+impl<'a> Skins<'a> {
+    pub(super) fn of(document: &'a Document<'_>, tree: &'a Tree) -> Self {
+        let (skins, nodes) = (&document.root.skins, &document.root.nodes);
+        let mut of_joint: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for (number, skin) in skins.iter().enumerate() {
+            for joint in &skin.joints {
+                of_joint.entry(joint.value()).or_default().push(number);
+            }
         }
-        bodies.push(body);
+        let mut sorted = Self {
+            skins,
+            nodes,
+            tree,
+            of_joint,
+            bodies: (0..skins.len()).collect(),
+        };
+        let mut seen = Seen::default();
+        for first in 0..skins.len() {
+            if !seen.skins.contains(&first) {
+                for skin in sorted.search(first, &mut seen) {
+                    sorted.bodies[skin] = first;
+                }
+            }
+        }
+        sorted
+    }
+
+    /// The first skin of each body that an animation moves, or of one body if it moves none. The first skin of a body is
+    /// the one with the most joints among those that the animation moves, and the first body that of the largest such
+    /// skin.
+    pub(super) fn moved_by(&self, animation: &json::Animation) -> Vec<usize> {
+        let channels = animation.channels.iter();
+        let nodes: BTreeSet<usize> = channels
+            .map(|channel| channel.target.node.value())
+            .collect();
+        let skins = nodes.iter().filter_map(|node| self.of_joint.get(node));
+        let moved: BTreeSet<usize> = skins.flatten().copied().collect();
+        let num_joints = |skin: &usize| self.skins[*skin].joints.len();
+        if moved.is_empty() {
+            let largest = (0..self.skins.len()).rev().max_by_key(num_joints);
+            return Vec::from_iter(largest);
+        }
+        let mut mains = Vec::from_iter(moved);
+        mains.sort_by_key(|skin| Reverse(num_joints(skin)));
+        let mut bodies = BTreeSet::new();
+        mains.retain(|skin| bodies.insert(self.bodies[*skin]));
+        mains
+    }
+
+    /// The skins of a body, `main` first.
+    pub(super) fn of_body(&self, main: usize) -> Vec<&'a json::Skin> {
+        let body = self.search(main, &mut Seen::default()).into_iter();
+        body.map(|skin| &self.skins[skin]).collect()
+    }
+
+    /// The skins of a body: `main`, then always the first of the file that belongs to one before it.
+    fn search(&self, main: usize, seen: &mut Seen) -> Vec<usize> {
+        let mut body = Vec::new();
+        let mut next = BTreeSet::from([main]);
+        seen.skins.insert(main);
+        while let Some(skin) = next.pop_first() {
+            body.push(skin);
+            for joint in &self.skins[skin].joints {
+                let skins = self.unseen_nodes(joint.value(), seen).into_iter();
+                let skins = skins.filter_map(|node| self.of_joint.get(&node));
+                next.extend(skins.flatten().filter(|skin| seen.skins.insert(**skin)));
+            }
+        }
+        body
+    }
+
+    /// The node itself, its ancestors and its descendants, as far as the search has not seen them.
+    fn unseen_nodes(&self, node: usize, seen: &mut Seen) -> Vec<usize> {
+        let parent = |node: &usize| self.tree.parents.get(*node).copied().flatten();
+        let mut nodes: Vec<usize> = std::iter::successors(Some(node), parent)
+            .take_while(|node| seen.above.insert(*node))
+            .collect();
+        let mut below = vec![node];
+        while let Some(node) = below.pop() {
+            if seen.below.insert(node) {
+                nodes.push(node);
+                let children = self.nodes.get(node).and_then(|node| node.children.as_ref());
+                below.extend(children.into_iter().flatten().map(json::Index::value));
+            }
+        }
+        nodes
     }
 }
 

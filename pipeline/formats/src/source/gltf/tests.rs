@@ -11,7 +11,7 @@ use testkit::walk;
 use super::container::chunks;
 use super::curve::{Curve, DEFAULT_FPS};
 use super::*;
-use crate::source::release_tests::{assert_says, edited};
+use crate::source::release_tests::{assert_notes, assert_says, edited};
 use crate::write;
 use clip::SourceClip;
 
@@ -79,6 +79,11 @@ impl Parts {
     }
 }
 
+/// The elements of a list.
+fn list(value: &mut Value) -> &mut Vec<Value> {
+    value.as_array_mut().expect("a list")
+}
+
 fn read_all(bytes: &[u8]) -> Result<Outcome, Rejected> {
     read(bytes, "", &ReadOptions::default())
 }
@@ -112,7 +117,7 @@ fn embedded_buffers_read_as_the_binary_chunk_does() {
 fn walking_below(degrees: f64, scale: [f64; 3]) -> Vec<u8> {
     let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
     let parts = Parts::walking().with(|json| {
-        let root = json["nodes"].as_array_mut().expect("nodes");
+        let root = list(&mut json["nodes"]);
         root.push(json!({ "rotation": [0.0, sin, 0.0, cos], "scale": scale, "children": [0] }));
         json["scenes"][0]["nodes"] = json!([22, 23]);
     });
@@ -229,12 +234,8 @@ fn a_body_is_read_whole_whatever_its_skins_are() {
     // Elbows and wrists are the joints of gloves.
     let gloves = |json: &mut Value| {
         unbound(json);
-        let joints = json["skins"][0]["joints"].as_array_mut().expect("joints");
-        let arms = joints.split_off(18);
-        json["skins"]
-            .as_array_mut()
-            .expect("skins")
-            .push(json!({ "joints": arms }));
+        let arms = list(&mut json["skins"][0]["joints"]).split_off(18);
+        list(&mut json["skins"]).push(json!({ "joints": arms }));
     };
     let dressed = clip_of(&Parts::walking().with(gloves).embedded());
     assert_eq!(dressed.motion, plain.motion);
@@ -242,23 +243,16 @@ fn a_body_is_read_whole_whatever_its_skins_are() {
     // A prop with more joints than the body. The animation does not move it.
     let beside_rope = Parts::walking().with(|json| {
         gloves(json);
-        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        let nodes = list(&mut json["nodes"]);
         let first = nodes.len();
         nodes.extend((0..40).map(|_| json!({ "translation": [0.0, 0.1, 0.0] })));
         let rope: Vec<usize> = (first..first + 40).collect();
-        json["skins"]
-            .as_array_mut()
-            .expect("skins")
-            .push(json!({ "joints": rope }));
+        list(&mut json["skins"]).push(json!({ "joints": rope }));
     });
     let beside_rope = clip_of(&beside_rope.embedded());
     assert_eq!(beside_rope.motion, plain.motion);
     let said = "the file has 3 skins; 2 of this body were read";
-    assert!(
-        beside_rope.notes.contains(&said.to_owned()),
-        "{:?}",
-        beside_rope.notes
-    );
+    assert_notes(&beside_rope, said);
 }
 
 #[test]
@@ -267,7 +261,7 @@ fn two_people_of_one_animation_are_two_motions_and_a_prop_is_none() {
     // A copy of the nodes and the channels: the same walk by a second person.
     let people = Parts::walking().with(|json| {
         let body = 22;
-        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        let nodes = list(&mut json["nodes"]);
         let first = nodes.len();
         let mut copies: Vec<Value> = nodes[..body].to_vec();
         for copy in &mut copies {
@@ -278,15 +272,12 @@ fn two_people_of_one_animation_are_two_motions_and_a_prop_is_none() {
         nodes.extend(copies);
         nodes.push(json!({ "translation": [0.0, 1.0, 0.0] }));
         let mut skin = json["skins"][0].clone();
-        let joints = skin["joints"].as_array_mut().expect("joints");
-        for joint in joints {
+        for joint in list(&mut skin["joints"]) {
             *joint = json!(joint.as_u64().expect("a node") as usize + first);
         }
         let prop = first + body;
-        let skins = json["skins"].as_array_mut().expect("skins");
-        skins.extend([skin, json!({ "joints": [prop] })]);
-        let channels = json["animations"][0]["channels"].as_array_mut();
-        let channels = channels.expect("channels");
+        list(&mut json["skins"]).extend([skin, json!({ "joints": [prop] })]);
+        let channels = list(&mut json["animations"][0]["channels"]);
         let mut second = channels.clone();
         for channel in &mut second {
             let node = channel["target"]["node"].as_u64().expect("a node") as usize;
@@ -320,12 +311,34 @@ fn two_people_of_one_animation_are_two_motions_and_a_prop_is_none() {
 }
 
 #[test]
+fn thousands_of_skins_are_sorted_into_bodies_at_once() {
+    const PROPS: usize = 20_000;
+    const ANIMATIONS: usize = 20;
+    let crowded = Parts::walking().with(|json| {
+        let nodes = list(&mut json["nodes"]);
+        let first = nodes.len();
+        nodes.extend((0..PROPS).map(|_| json!({ "translation": [0.0, 1.0, 0.0] })));
+        let props = first..first + PROPS;
+        let skins = props.clone().map(|prop| json!({ "joints": [prop] }));
+        list(&mut json["skins"]).extend(skins);
+        let of_body = json["animations"][0].clone();
+        let channels = list(&mut json["animations"][0]["channels"]);
+        let channel = channels[0].clone();
+        channels.extend(props.map(|prop| {
+            let mut of_prop = channel.clone();
+            of_prop["target"]["node"] = json!(prop);
+            of_prop
+        }));
+        list(&mut json["animations"]).extend(vec![of_body; ANIMATIONS - 1]);
+    });
+    assert_eq!(keys(&crowded.embedded()).len(), PROPS + ANIMATIONS);
+}
+
+#[test]
 fn channels_without_a_node_are_ignored() {
     let plain = clip_of(&Parts::walking().embedded());
     let pointed = Parts::walking().with(|json| {
-        let channels = json["animations"][0]["channels"]
-            .as_array_mut()
-            .expect("channels");
+        let channels = list(&mut json["animations"][0]["channels"]);
         channels.push(json!({ "sampler": 0, "target": { "path": "pointer" } }));
     });
     assert_eq!(clip_of(&pointed.embedded()), plain);
@@ -346,8 +359,7 @@ fn files_without_a_moving_skin_are_passed_over() {
         assert!(reason.contains(words), "{reason}");
     }
     let still = Parts::walking().with(|json| {
-        let channels = &mut json["animations"][0]["channels"];
-        for channel in channels.as_array_mut().expect("channels") {
+        for channel in list(&mut json["animations"][0]["channels"]) {
             channel["target"]["node"] = json!(22);
         }
     });
@@ -412,15 +424,14 @@ fn what_is_wrong_inside_is_rejected() {
         assert_eq!(code(&parts.embedded()), expected, "{what}");
     };
     refused("no bytes at all", "E-GLTF-BUFFER", &|json| {
-        let buffers = json["buffers"].as_array_mut().expect("buffers");
-        buffers.push(json!({"byteLength": 4}));
+        list(&mut json["buffers"]).push(json!({"byteLength": 4}));
         json["bufferViews"][0]["buffer"] = json!(1);
         let view = &json["accessors"][times]["bufferView"];
         let view = view.as_u64().expect("a view") as usize;
         json["bufferViews"][view]["buffer"] = json!(1);
     });
     refused("view past its buffer", "E-GLTF-ACCESSOR", &|json| {
-        for view in json["bufferViews"].as_array_mut().expect("views") {
+        for view in list(&mut json["bufferViews"]) {
             view["byteOffset"] = json!(u64::MAX - 3);
         }
     });
@@ -433,12 +444,12 @@ fn what_is_wrong_inside_is_rejected() {
         });
     });
     refused("nodes in a circle", "E-GLTF-NODES", &|json| {
-        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        let nodes = list(&mut json["nodes"]);
         nodes.push(json!({"children": [24]}));
         nodes.push(json!({"children": [23]}));
     });
     refused("skeleton without legs", "E-GLTF-SKELETON", &|json| {
-        for node in json["nodes"].as_array_mut().expect("nodes") {
+        for node in list(&mut json["nodes"]) {
             node["name"] = json!("bone");
         }
         let node = json["nodes"][1].as_object_mut().expect("a node");
@@ -472,7 +483,7 @@ fn sparse_accessors_replace_what_they_list() {
 #[test]
 fn a_deep_tree_is_no_trouble() {
     let parts = Parts::walking().with(|json| {
-        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        let nodes = list(&mut json["nodes"]);
         for node in 23..3000 {
             nodes.push(json!({"children": [node + 1]}));
         }
@@ -484,7 +495,7 @@ fn a_deep_tree_is_no_trouble() {
 #[test]
 fn a_skeleton_without_names_is_found_by_its_build() {
     let nameless = Parts::walking().with(|json| {
-        for node in json["nodes"].as_array_mut().expect("nodes") {
+        for node in list(&mut json["nodes"]) {
             node.as_object_mut().expect("a node").remove("name");
         }
     });

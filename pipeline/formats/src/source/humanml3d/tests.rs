@@ -13,8 +13,8 @@ use testkit::{npy, npy_f8};
 
 use super::*;
 use crate::source::release_tests::{
-    assert_contains, assert_refused, clip_of, edited, files_named, files_of, planned, test_data,
-    why_passed_over,
+    assert_contains, assert_refused, clip_of, edited, files_named, files_of, only_release, planned,
+    test_data, why_passed_over,
 };
 use crate::source::{Files, ReadOptions, Recognised, recognise};
 use clip::RotationSource;
@@ -67,19 +67,16 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
             b"source_path,start_frame,end_frame,new_name\n./pose_data/KIT/3/a_poses.npy,7,36,000001.npy\n",
         ),
     ]);
-    let releases = find(&files);
-    let [release] = &releases[..] else {
-        panic!("one folder, found {}", releases.len());
-    };
+    let release = only_release(FORMAT, &files);
     let test = Some(Split::Test);
     let expected = [
         ("000001", test, None),
         ("000002", test, None),
         ("M000001", test, Some("000001")),
     ];
-    assert_eq!(planned(&**release), expected);
-    assert_eq!(files_named(&**release), files.all().collect::<Vec<_>>());
-    let why = why_passed_over(&**release, "deep/hml/texts/000009.txt");
+    assert_eq!(planned(&*release), expected);
+    assert_eq!(files_named(&*release), files.all().collect::<Vec<_>>());
+    let why = why_passed_over(&*release, "deep/hml/texts/000009.txt");
     assert_eq!(why, "captions without a motion");
 
     let clip = clip_of(release.as_ref(), &files, "000001");
@@ -104,8 +101,8 @@ fn joints_that_contradict_their_vector_are_flagged() {
         ("h/new_joint_vecs/000001.npy", &vector),
         ("h/new_joints/000001.npy", &joint_file(&walking()[..29])),
     ]);
-    let releases = find(&files);
-    let clip = clip_of(releases[0].as_ref(), &files, "000001");
+    let release = only_release(FORMAT, &files);
+    let clip = clip_of(&*release, &files, "000001");
     assert_eq!(clip.flags, FLAG_POOR_FIT, "other bone lengths");
 }
 
@@ -138,9 +135,9 @@ fn what_is_wrong_is_rejected_by_code() {
 #[test]
 fn clips_published_without_frames_are_known() {
     let (_folder, files) = files_of(&[("new_joint_vecs/M009707.npy", &npy_f8(&[0, 263], &[]))]);
-    let releases = find(&files);
-    let entry = &releases[0].contents().entries[0];
-    let read = releases[0].read(&files, entry, &ReadOptions::default());
+    let release = only_release(FORMAT, &files);
+    let entry = &release.contents().entries[0];
+    let read = release.read(&files, entry, &ReadOptions::default());
     let rejected = read.expect_err("no motion");
     assert_refused(&rejected, "E-TOO-SHORT", "published so");
 }
@@ -215,11 +212,11 @@ fn the_published_clip_and_its_neighbours_are_read() {
     ]
     .map(|name| (name.to_owned(), folder.join(name)));
     let files = Files::new(BTreeMap::from(paths));
-    let releases = find(&files);
-    let clip = clip_of(releases[0].as_ref(), &files, "012314");
+    let release = only_release(FORMAT, &files);
+    let clip = clip_of(&*release, &files, "012314");
     assert_eq!((clip.motion.len(), clip.flags), (170, 0));
     assert!(clip.fit_error_m.expect("measured") < 0.03);
-    assert!(releases[0].contents().entries[0].split.is_some());
+    assert!(release.contents().entries[0].split.is_some());
     let skeleton = Skeleton::smplx_neutral();
     clip::check::check(&clip.motion, &skeleton).expect("a plain motion");
 

@@ -17,7 +17,9 @@ use crate::source::files::Files;
 use crate::source::format::Release;
 use crate::source::humanml3d::IndexRow;
 use crate::source::options::ReadOptions;
-use crate::source::release_tests::{assert_says, entry_of, files_under, planned, why_passed_over};
+use crate::source::release_tests::{
+    assert_says, clip_of, entry_of, files_of, files_under, planned, why_passed_over,
+};
 use clip::check::{FLAG_BODY_DOUBTFUL, FLAG_FPS_DOUBTFUL};
 use clip::{Rejected, RotationSource, SourceClip};
 
@@ -40,9 +42,11 @@ fn frames_are_taken_as_published() {
     assert!(frames_of(600, 6, 0, &row(usize::MAX, None)).is_empty());
 }
 
-/// A folder of AMASS files and an index.
+/// A folder of AMASS files and an index, and the release found in it.
 struct Tree {
-    folder: tempfile::TempDir,
+    _folder: tempfile::TempDir,
+    files: Files,
+    release: Box<dyn Release>,
 }
 
 impl Tree {
@@ -51,16 +55,22 @@ impl Tree {
         for (name, bytes) in files {
             put(folder.path(), name, bytes);
         }
-        Self { folder }
+        let files = files_under(folder.path());
+        let release = find(&files, &folder.path().join("index.csv"));
+        Self {
+            _folder: folder,
+            files,
+            release: release.expect("a valid index"),
+        }
     }
 
-    fn files(&self) -> Files {
-        files_under(self.folder.path())
+    fn read(&self, id: &str, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+        let entry = entry_of(&*self.release, id);
+        self.release.read(&self.files, entry, options)
     }
 
-    fn release(&self) -> Box<dyn Release> {
-        let index = self.folder.path().join("index.csv");
-        find(&self.files(), &index).expect("a valid index")
+    fn clip(&self, id: &str) -> SourceClip {
+        clip_of(&*self.release, &self.files, id)
     }
 }
 
@@ -68,15 +78,6 @@ fn index(rows: &[&str]) -> (&'static str, Vec<u8>) {
     let header = "source_path,start_frame,end_frame,new_name";
     let text = [&[header], rows].concat().join("\n") + "\n";
     ("index.csv", text.into_bytes())
-}
-
-fn read(tree: &Tree, release: &dyn Release, id: &str) -> Result<SourceClip, Rejected> {
-    let entry = entry_of(release, id);
-    release.read(&tree.files(), entry, &ReadOptions::default())
-}
-
-fn clip(tree: &Tree, release: &dyn Release, id: &str) -> SourceClip {
-    read(tree, release, id).unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
 }
 
 #[test]
@@ -95,32 +96,31 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
             "./pose_data/CMU/1/gone_poses.npy,0,9,000003.npy",
         ]),
     ]);
-    let release = tree.release();
     let expected = [
         ("000000", Some(Split::Test), None),
         ("M000000", Some(Split::Test), Some("000000")),
         ("000001", None, None),
         ("M000001", None, Some("000001")),
     ];
-    assert_eq!(planned(&*release), expected);
-    let why = |item: &str| why_passed_over(&*release, item);
+    assert_eq!(planned(&*tree.release), expected);
+    let why = |item: &str| why_passed_over(&*tree.release, item);
     assert!(why("index.csv#000002").contains("HumanAct12"));
     assert!(why("index.csv#000003").contains("not among the sources"));
     assert!(why("KIT/3/unused_poses.npz").contains("takes nothing"));
 
-    let kick = clip(&tree, release.as_ref(), "000000");
+    let kick = tree.clip("000000");
     assert_eq!((kick.motion.len(), kick.motion.fps()), (20, Fps::STORE));
     assert_eq!(kick.source_frames, 30..145);
     assert_eq!(kick.rotation_source, RotationSource::Native);
     assert_eq!(kick.flags, 0);
-    let mirrored = clip(&tree, release.as_ref(), "M000000");
+    let mirrored = tree.clip("M000000");
     assert_eq!(mirrored.captions[0].text, "a man kicks with his right leg");
     assert_eq!(mirrored.captions[0].tokens, "right/ADJ leg/NOUN");
     let back = mirror(&mirrored.motion);
     assert_eq!(back.body_pose(), kick.motion.body_pose());
 
     // 100 frames at 20 fps, 20 of them lead-in: 10 fewer than the crop needs.
-    let short = clip(&tree, release.as_ref(), "000001");
+    let short = tree.clip("000001");
     assert_eq!(short.motion.len(), 80);
     assert_eq!(short.flags, FLAG_FPS_DOUBTFUL);
     for words in ["SMPL-X", "10 frames more"] {
@@ -149,11 +149,7 @@ fn features_are_those_of_the_own_body_where_models_are_given() {
         subjects: Some(Arc::new(subjects)),
         ..ReadOptions::default()
     };
-    let release = tree.release();
-    let read = |id: &str| {
-        let clip = release.read(&tree.files(), entry_of(&*release, id), &options);
-        clip.expect("the clip is good")
-    };
+    let read = |id: &str| tree.read(id, &options).expect("the clip is good");
     // The first beta of the male model lifts the head by 5 cm a unit.
     let neutral = smpl_body(&Skeleton::smplx_neutral());
     let tall = smpl_body(&{
@@ -175,12 +171,7 @@ fn features_are_those_of_the_own_body_where_models_are_given() {
     // Without a gender the female body is taken, as HumanML3D does, and the clip says so.
     assert_says(&read("000002"), "the female body");
     assert_eq!(read("000002").flags, FLAG_BODY_DOUBTFUL);
-    let without = release.read(
-        &tree.files(),
-        entry_of(&*release, "000001"),
-        &ReadOptions::default(),
-    );
-    assert_eq!(without.expect("the clip is good").flags, 0);
+    assert_eq!(tree.clip("000001").flags, 0);
 }
 
 #[test]
@@ -202,7 +193,7 @@ fn the_world_is_turned_as_published() {
         ("KIT/3/stand_poses.npz", npz(&members)),
         index(&["./pose_data/KIT/3/stand_poses.npy,0,20,000000.npy"]),
     ]);
-    let stand = clip(&tree, tree.release().as_ref(), "000000");
+    let stand = tree.clip("000000");
     assert_eq!(stand.motion.len(), 20, "59.99 fps is taken every 2nd frame");
     assert_says(&stand, "29.995");
     let skeleton = Skeleton::smplx_neutral();
@@ -230,17 +221,16 @@ fn rates_and_crops_that_leave_nothing_are_rejected_by_code() {
             "./pose_data/KIT/3/shape_poses.npy,0,20,000002.npy",
         ]),
     ]);
-    let release = tree.release();
     for (id, code) in [
         ("000000", "E-AMASS-FPS"),
         ("M000001", "E-TOO-SHORT"),
         ("000002", "E-AMASS-KEYS"),
     ] {
-        let rejected = read(&tree, release.as_ref(), id).expect_err(id);
+        let rejected = tree.read(id, &ReadOptions::default()).expect_err(id);
         assert_eq!(rejected.code, code);
     }
-    let no_index = Tree::new(&[("index.csv", b"a,b\n".to_vec())]);
-    let found = find(&no_index.files(), &no_index.folder.path().join("index.csv"));
+    let (folder, files) = files_of(&[("index.csv", b"a,b\n")]);
+    let found = find(&files, &folder.path().join("index.csv"));
     assert!(matches!(found.err(), Some(Error::Index { .. })));
 }
 

@@ -58,7 +58,7 @@ pub fn attach(
     }
     // A file of rotations does not say how these were made; the sidecar of an export does.
     if let Some(source) = &sidecar.rotation_source {
-        clip.rotation_source = RotationSource::of_name(source);
+        clip.rotation_source = RotationSource::of_name(source).unwrap_or_default();
         clip.fit_error_m = sidecar.fit_error_m;
     }
     state(&mut clip, sidecar, around);
@@ -246,8 +246,8 @@ impl Sidecar {
                 report(format!("{name} {text:?} is no id of a clip"));
             }
         }
-        let is_origin = |name: &String| RotationSource::of_name(name).as_str() == name;
-        if let Some(name) = self.rotation_source.take_if(|name| !is_origin(name)) {
+        let is_unknown = |name: &mut String| RotationSource::of_name(name).is_none();
+        if let Some(name) = self.rotation_source.take_if(is_unknown) {
             report(format!(
                 "rotation_source {name:?} is none of native, retargeted and fitted"
             ));

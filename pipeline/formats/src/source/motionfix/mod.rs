@@ -417,7 +417,8 @@ impl Pair {
                     value.describe()
                 )
             })?;
-            parameters(motion)
+            let rotations = column(motion, "rots")?;
+            Parameters::of_poses(rotations.into_iter(), column(motion, "trans")?)
         };
         let text = value.get("text");
         let first = text.and_then(Value::as_sequence).and_then(<[Value]>::first);
@@ -431,11 +432,6 @@ impl Pair {
             note: None,
         }
     }
-}
-
-fn parameters(motion: &Value) -> Result<Parameters, Rejected> {
-    let rotations = column(motion, "rots")?;
-    Parameters::of_poses(rotations.into_iter(), column(motion, "trans")?)
 }
 
 /// The parts that an answer such as `Answer: right arm\nleft arm` names. `buttocks` maps to the lower

@@ -6,7 +6,7 @@ use flate2::write::ZlibEncoder;
 
 use super::*;
 use crate::source::release_tests::{
-    assert_says, clip_of, codes, files_under, only, says, test_data,
+    assert_says, clip_of, codes, files_under, only_release, says, test_data,
 };
 use pickle::encode;
 use testkit::put;
@@ -59,10 +59,6 @@ fn zlib(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().expect("in memory")
 }
 
-fn only_release(files: &Files) -> Box<dyn Release> {
-    only(find(files))
-}
-
 #[test]
 fn dumps_and_lists_become_pairs() {
     for packed in [false, true] {
@@ -81,7 +77,7 @@ fn dumps_and_lists_become_pairs() {
             format!(r#"{{"{raise} ": "Answer: left arm\nneck", "slower": "Answer: wrists"}}"#);
         put(dir.path(), "deps/gpt/edit/gpt-labels_full.json", labels);
         let files = files_under(dir.path());
-        let release = only_release(&files);
+        let release = only_release(FORMAT, &files);
         let planned: Vec<(String, String, Option<Split>)> = release
             .contents()
             .entries
@@ -141,7 +137,7 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
     let pairs = [("1", pair(10, ""))];
     put_dump(dir.path(), "motionfix.pth.tar", &pairs, false);
     let files = files_under(dir.path());
-    let release = only_release(&files);
+    let release = only_release(FORMAT, &files);
     let options = ReadOptions::default();
     for side in ["source", "target"] {
         let motion = clip_of(&*release, &files, &format!("motionfix/000001-{side}")).motion;
@@ -181,7 +177,7 @@ fn broken_pairs_and_dumps_are_on_record() {
     put("motionfix_c.pth.tar", b"\x80\x04].");
     put("splits.json", b"[");
     let files = files_under(dir.path());
-    let release = only_release(&files);
+    let release = only_release(FORMAT, &files);
     let expected = [
         "E-MOTIONFIX-JSON",
         "E-PICKLE-REFUSED",
@@ -223,7 +219,7 @@ fn the_real_label_files_are_passed_over_without_a_dump() {
         return;
     };
     let files = files_under(&folder);
-    let release = only_release(&files);
+    let release = only_release(FORMAT, &files);
     assert_eq!(release.contents().passed_over.len(), files.len());
     assert!(release.contents().entries.is_empty() && release.contents().rejected.is_empty());
     let labels = files.read("gpt-labels_full_v2.json").expect("there");

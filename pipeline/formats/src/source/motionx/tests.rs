@@ -8,7 +8,7 @@ use testkit::{npy, npy_f8};
 
 use super::*;
 use crate::source::release_tests::{
-    assert_refused, assert_says, edited, files_of, planned, why_passed_over,
+    assert_refused, assert_says, clip_of, edited, files_of, only_release, planned, why_passed_over,
 };
 use crate::source::{ReadOptions, Recognised, recognise};
 use clip::Rejected;
@@ -149,11 +149,10 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
         ),
         ("x/test.txt", b"humanml/000003\n"),
     ]);
-    let found = (FORMAT.find)(&files);
-    assert_eq!(found.len(), 1);
-    let contents = found[0].contents();
+    let release = only_release(FORMAT, &files);
+    let contents = release.contents();
     assert_eq!(
-        planned(&*found[0]),
+        planned(&*release),
         [
             ("humanml/000003", Some(Split::Test), None),
             ("humanml/M000003", Some(Split::Test), Some("humanml/000003")),
@@ -162,7 +161,7 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
         ]
     );
     let options = ReadOptions::default();
-    let read = |index: usize| found[0].read(&files, &contents.entries[index], &options);
+    let read = |index: usize| release.read(&files, &contents.entries[index], &options);
     let kick = read(0).expect("a clip");
     assert_eq!(kick.captions[0].text, "a man kicks");
     assert_eq!((kick.captions[0].from_s, kick.captions[0].to_s), (0.5, 1.0));
@@ -170,7 +169,7 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
     assert!(read(1).expect("a clip").captions.is_empty());
     assert_eq!(read(2).expect("a clip").captions[0].text, "a person waves");
     assert_eq!(read(3).expect_err("cut off").code, "E-NPY-SHAPE");
-    let why = |file: &str| why_passed_over(&*found[0], file);
+    let why = |file: &str| why_passed_over(&*release, file);
     let face = why("x/face_motion_data/smplx_322/humanml/000003.npy");
     assert_eq!(face, "facial expressions of Motion-X, no body");
     let gone = why("x/texts/semantic_labels/dance/gone.txt");
@@ -185,11 +184,8 @@ fn the_folders_of_motion_x_plus_plus_are_read_too() {
         ("motion/motion_generation/smplx322/animation/a.npy", &motion),
         ("text/semantic_label/animation/a.txt", b"a figure jumps\n"),
     ]);
-    let found = (FORMAT.find)(&files);
-    let contents = found[0].contents();
-    assert_eq!(contents.entries[0].id, "animation/a");
-    let clip = found[0].read(&files, &contents.entries[0], &ReadOptions::default());
-    assert_eq!(clip.expect("a clip").captions[0].text, "a figure jumps");
+    let clip = clip_of(&*only_release(FORMAT, &files), &files, "animation/a");
+    assert_eq!(clip.captions[0].text, "a figure jumps");
 }
 
 proptest! {

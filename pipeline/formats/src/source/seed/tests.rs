@@ -3,7 +3,6 @@ use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, BooleanArray, Float64Array, RecordBatch, StringArray};
-use datasets_spec::Skeleton;
 use parquet::arrow::ArrowWriter;
 use proptest::prelude::*;
 
@@ -11,7 +10,7 @@ use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::bvh::dialects::RigText;
 use crate::source::release_tests::{
-    assert_contains, assert_notes, assert_refused, assert_says, edited, files_of, only,
+    assert_contains, assert_notes, assert_refused, assert_says, edited, files_of, only_release,
 };
 use crate::source::{Files, ReadOptions, Release, labels};
 use clip::Outcome;
@@ -90,8 +89,7 @@ fn folder(files: &[(&str, Vec<u8>)]) -> (tempfile::TempDir, Files) {
 }
 
 fn bvh() -> Vec<u8> {
-    let skeleton = Skeleton::smplx_neutral();
-    RigText::soma().write(&walk(60), &skeleton).into_bytes()
+    RigText::soma().write(&walk(60)).into_bytes()
 }
 
 const WALK: &str = "soma_uniform/bvh/230711/walk_001__A425.bvh";
@@ -99,10 +97,6 @@ const MIRRORED: &str = "soma_uniform/bvh/230711/walk_001__A425_M.bvh";
 const PARQUET: &str = "metadata/seed_metadata_v004.parquet";
 const CSV: &str = "seed_metadata_v004.csv";
 const LABELS: &str = "metadata/seed_metadata_v002_temporal_labels.jsonl";
-
-fn one(files: &Files) -> Box<dyn Release> {
-    only((FORMAT.find)(files))
-}
 
 fn reasons(release: &dyn Release) -> BTreeMap<String, String> {
     release.contents().passed_over.iter().cloned().collect()
@@ -131,7 +125,7 @@ fn metadata_and_temporal_labels_become_captions_and_labels() {
         ("metadata/seed_metadata_v1.parquet", b"old".to_vec()),
         (LABELS, TIMELINE.as_bytes().to_vec()),
     ]);
-    let release = one(&files);
+    let release = only_release(FORMAT, &files);
     let contents = release.contents();
     assert!(contents.rejected.is_empty(), "{:?}", contents.rejected);
     let entries = contents.entries.iter();
@@ -201,7 +195,7 @@ fn metadata_as_text_say_the_same() {
     ]
     .map(|(table, bytes)| {
         let (_dir, files) = folder(&[(WALK, bvh()), (MIRRORED, bvh()), (table, bytes)]);
-        let release = one(&files);
+        let release = only_release(FORMAT, &files);
         let entries = &release.contents().entries;
         assert_eq!(entries.len(), 2);
         let read = |index: usize| release.read(&files, &entries[index], &options);
@@ -233,7 +227,7 @@ fn tables_that_are_damaged_are_quarantined_and_what_can_be_is_read() {
         (LABELS, pointer, "E-LFS-POINTER", "git lfs pull", 0),
     ] {
         let (_dir, files) = folder(&[(WALK, bvh()), (MIRRORED, bvh()), (table, bytes)]);
-        let release = one(&files);
+        let release = only_release(FORMAT, &files);
         let contents = release.contents();
         let (file, rejected) = &contents.rejected[0];
         assert_eq!(file, table);
@@ -255,7 +249,7 @@ fn a_motion_that_is_damaged_is_quarantined_by_its_own_code() {
     let mut cut = bvh();
     cut.truncate(cut.len() * 3 / 4);
     let (_dir, files) = folder(&[(WALK, cut), (PARQUET, parquet())]);
-    let release = one(&files);
+    let release = only_release(FORMAT, &files);
     let entry = &release.contents().entries[0];
     let read = release.read(&files, entry, &ReadOptions::default());
     let rejected = read.expect_err("truncated");

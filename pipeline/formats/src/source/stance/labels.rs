@@ -63,7 +63,8 @@ impl Labels {
 
     /// Adds the labels of a motion other than captions and names.
     pub(super) fn attach(&self, origin: &Origin, clip: &mut SourceClip) {
-        clip.rotation_source = RotationSource::of_name(&origin.rotation_source);
+        let rotation_source = RotationSource::of_name(&origin.rotation_source);
+        clip.rotation_source = rotation_source.unwrap_or_default();
         clip.fit_error_m = origin.fit_error_m;
         clip.part_captions.clone_from(&origin.part_captions);
         clip.masks.extend(self.stored.masks_of(&origin.id));

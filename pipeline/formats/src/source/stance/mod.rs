@@ -511,7 +511,8 @@ impl Planner<'_> {
         });
         match read {
             Ok(value) => {
-                self.read_with_motions(file);
+                let reason = "list of the STANCE release, read with its motions";
+                self.release.contents.pass_over(file, reason);
                 Some(value)
             }
             Err(rejected) => {
@@ -519,11 +520,6 @@ impl Planner<'_> {
                 None
             }
         }
-    }
-
-    fn read_with_motions(&mut self, file: &str) {
-        let reason = "list of the STANCE release, read with its motions";
-        self.release.contents.pass_over(file, reason);
     }
 
     fn plan_motions(&mut self) {

@@ -6,23 +6,19 @@ use proptest::prelude::*;
 use super::*;
 use crate::source::options::ReadOptions;
 use crate::source::release_tests::{
-    assert_says, clip_of, codes, entry_of, files_under, only, planned, test_data,
+    assert_says, clip_of, codes, entry_of, files_under, only_release, planned, test_data,
 };
 use clip::check::{FLAG_FPS_DOUBTFUL, check};
 use pickle::{Value, encode};
 
 use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
 
-fn only_release(files: &Files) -> Box<dyn Release> {
-    only(find(files))
-}
-
 #[test]
 fn a_release_becomes_motions_masks_and_pairs() {
     let dir = tempfile::tempdir().expect("temporary folder");
     write_release(dir.path());
     let files = files_under(dir.path());
-    let release = only_release(&files);
+    let release = only_release(FORMAT, &files);
     let adjustment = "adjustment/paired_data_seed0_15_batch0_id3";
     let (source, target) = (format!("{adjustment}#src"), format!("{adjustment}#tgt"));
     assert_eq!(
@@ -105,7 +101,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     // The bundle for the official demo is not a release.
     put("demo/style_transfer/text.txt", b"a\n");
     let files = files_under(dir.path());
-    let release = only_release(&files);
+    let release = only_release(FORMAT, &files);
     // Without lists there are no splits.
     let expected = [
         "000001",
@@ -231,7 +227,7 @@ proptest! {
         put(dir.path(), "split/style_transfer/test.json", &text);
         put(dir.path(), "split/base_motion/val.txt", &line);
         let files = files_under(dir.path());
-        let release = only_release(&files);
+        let release = only_release(FORMAT, &files);
         prop_assert_eq!(release.contents().entries.len(), 1);
         let read = release.read(&files, &release.contents().entries[0], &ReadOptions::default());
         prop_assert!(read.is_err(), "{:?}", read);
