@@ -114,17 +114,34 @@ fn skipped(by: SkipFilter) -> String {
 
 /// The SQL condition for tasks whose answers, clips or own fields contain a text.
 fn contains(text: &str, values: &mut Values) -> String {
+    // SQLite's lower() and LIKE know the case of ASCII letters alone.
+    let spellings = match text.is_ascii() {
+        true => vec![text.to_lowercase()],
+        false => vec![text.to_lowercase(), text.to_uppercase(), text.to_owned()],
+    };
+    let mut patterns = |of: fn(&str) -> String| -> Vec<String> {
+        let all = spellings.iter().map(|text| pattern(&of(text)));
+        all.map(|pattern| values.put(pattern)).collect()
+    };
+    let plain = patterns(str::to_owned);
     // Captions are a list in JSON, where quotation marks and backslashes are escaped.
-    let quoted = serde_json::Value::from(text).to_string();
-    let in_captions = values.put(like(&quoted[1..quoted.len() - 1]));
-    let like = values.put(like(text));
-    let matches = |column: &str, like: &str| format!("{column} LIKE {like} ESCAPE '\\'");
-    let fits = |column: &str| matches(column, &like);
+    let in_json = patterns(|text| {
+        let quoted = serde_json::Value::from(text).to_string();
+        quoted[1..quoted.len() - 1].to_owned()
+    });
+    let one_of = |column: &str, patterns: &[String]| {
+        let like = |pattern: &String| format!("{column} LIKE {pattern} ESCAPE '\\'");
+        format!(
+            "({})",
+            patterns.iter().map(like).collect::<Vec<_>>().join(" OR ")
+        )
+    };
+    let fits = |column: &str| one_of(column, &plain);
     let clip = |hash: &str| {
         format!(
             "EXISTS (SELECT 1 FROM motion m WHERE m.hash = {hash} AND ({} OR {}))",
             fits("lower(m.id)"),
-            matches("lower(m.captions)", &in_captions)
+            one_of("lower(m.captions)", &in_json)
         )
     };
     let any = [
@@ -178,9 +195,12 @@ pub(super) fn cursor<T: FromStr>(field: &str, text: &str) -> Result<(T, i64)> {
 /// The LIKE pattern for a text anywhere in a lower-case column. Spaces around the text are ignored; a blank text
 /// matches everything.
 pub(super) fn like(text: &str) -> String {
+    pattern(&text.trim().to_lowercase())
+}
+
+/// The LIKE pattern for a text anywhere in a column.
+fn pattern(text: &str) -> String {
     let escaped = text
-        .trim()
-        .to_lowercase()
         .replace('\\', "\\\\")
         .replace('%', "\\%")
         .replace('_', "\\_");

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use rusqlite::functions::FunctionFlags;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 
 use super::db::{Params, Result, Row, Tx, not_opened, read_only};
@@ -162,13 +161,6 @@ impl Backend for Sqlite {
         db.busy_timeout(BUSY).map_err(refuse)?;
         db.set_prepared_statement_cache_capacity(STATEMENTS);
         db.execute_batch(&settings).map_err(refuse)?;
-        // SQLite's own lower() knows ASCII letters alone.
-        let flags = FunctionFlags::SQLITE_UTF8 | FunctionFlags::SQLITE_DETERMINISTIC;
-        db.create_scalar_function("lower", 1, flags, |values| {
-            let text = values.get::<Option<String>>(0)?;
-            Ok(text.map(|text| text.to_lowercase()))
-        })
-        .map_err(refuse)?;
         Ok(db)
     }
 
