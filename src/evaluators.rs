@@ -220,9 +220,15 @@ pub(crate) fn report_on_encoder(
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?.with_arithmetic(arithmetic());
     let clips = CaptionedClips::read(dataset, Split::Val)?.clips;
     let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
-    let of_clips = (dataset.manifest().root_hash.as_str(), Split::Val);
-    let hash = encoder.hash();
-    let report = JudgeReport::measure(&texts, &of_texts, &of_motions, hash, of_clips, seed)?;
+    let report = JudgeReport::measure(
+        &texts,
+        &of_texts,
+        &of_motions,
+        encoder.hash(),
+        &dataset.manifest().root_hash,
+        Split::Val,
+        seed,
+    )?;
     let mut text = serde_json::to_vec_pretty(&report)?;
     text.push(b'\n');
     local::write(&run.join(REPORT), &text)?;

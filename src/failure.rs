@@ -51,7 +51,7 @@ fn known(cause: &(dyn Error + 'static)) -> Option<(Cow<'static, str>, Option<Str
 }
 
 fn code_of(cause: &(dyn Error + 'static)) -> Option<Code> {
-    // A cause that an error holds in a box is found as that box.
+    // An error may hold its cause in a box. Such a cause has the type of the box.
     macro_rules! code_of {
         ($($error:ty),*) => {$(
             let boxed = || cause.downcast_ref::<Box<$error>>().map(|boxed| &**boxed);

@@ -122,7 +122,7 @@ impl Error {
         Self::refused(Code::NotFound, problem)
     }
 
-    /// The request does not fit the state of the task, or the purpose for which somebody holds it.
+    /// A request that the present state of a task does not allow.
     pub(crate) fn wrong_state(state: impl Display, what: &str) -> Self {
         let problem = format!("a task that is {state} cannot be {what}");
         Self::refused(Code::WrongState, problem)

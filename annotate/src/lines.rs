@@ -96,15 +96,18 @@ impl Judgement {
         let Some(draft) = draft else {
             return Ok(self.verdict != Verdict::Todo || !self.text.trim().is_empty());
         };
-        let is_untouched = self.drafted == self.hash();
+        if self.drafted == self.hash() {
+            // Nobody has touched the line.
+            return Ok(false);
+        }
         // A mask that a person has accepted is drafted as accepted: such a line is no judgement of another person.
         let is_judged = match self.verdict {
             Verdict::Todo => false,
             Verdict::Accept => draft.text_origin != HUMAN,
             Verdict::Reject => true,
         };
-        if is_untouched || is_judged {
-            return Ok(!is_untouched);
+        if is_judged {
+            return Ok(true);
         }
         let drafted = Self::of(draft).map_err(|error| error.to_string())?;
         Ok(self.text.trim() != drafted.text.trim()

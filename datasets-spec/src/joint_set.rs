@@ -121,7 +121,7 @@ impl fmt::Display for JointSet {
 }
 
 kinematics::named! {
-    /// A named part of the body: first the five of the STANCE release, whose spelling the names have, then five more.
+    /// A named part of the body. The first five are those of the STANCE release, which spells names like this.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
     #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
     pub enum BodyPart, named by name {

@@ -22,6 +22,13 @@ pub const REJECTED_MASKS_FACT: &str = "rejected_masks";
 
 /// Beginning of the keys of facts that say what annotation projects wrote into a dataset. They stay when it grows.
 pub const ANNOTATE_FACTS: &str = "annotate_";
+/// Fact with the store of the annotation project that exported last.
+pub const ANNOTATE_STORE_FACT: &str = "annotate_store";
+/// Fact with the point in the log of that store from which the tables were exported.
+pub const ANNOTATE_SEQ_FACT: &str = "annotate_seq";
+/// Fact with the last point in that log from which a version since restored to an older one was exported: labels of
+/// people until then may be in the dataset.
+pub const ANNOTATE_KNOWN_FACT: &str = "annotate_seq_known";
 
 /// The type of [`Manifest::rejected_pairs`].
 pub type RejectedPairs = BTreeMap<String, BTreeSet<[MotionId; 2]>>;
@@ -51,7 +58,7 @@ struct LaidOut {
 }
 
 /// One committed version of a dataset. Readers open the highest version; data files are never found by
-/// listing folders.
+/// listing folders. The default is no valid manifest: a first commit fills it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Always [`FORMAT`].

@@ -16,7 +16,7 @@ use crate::metric::fid::{self, FID, MIN_ROWS};
 use crate::metric::interval::{MIN_TARGETS, mean};
 use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
 use crate::protocol::{FidSample, Protocol, Spread};
-use crate::score::{OfItems, OfTask, Resamples, System, TestSet, drawn, measured, unranked};
+use crate::score::{OfItems, OfTask, Resamples, System, TestSet, drawn, measured};
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
 /// Number of resamples for the interval of a Fréchet distance; each decomposes up to three large matrices.
@@ -140,7 +140,8 @@ fn compared(
     }
     differences.extend(of_task.pairing(pair).differences(metric::ALL));
     let protocol = whole_sets(of_task.protocol);
-    let mut comparison = Comparison::new(of_task, pair, &protocol, encoder, differences);
+    let unranked = of_task.unranked(encoder);
+    let mut comparison = Comparison::new(of_task, pair, &protocol, encoder, unranked, differences);
     if let Some(note) = shortage_of_fid(FID_NAME, num_items, width) {
         comparison.notes.insert(0, note);
     }
@@ -317,17 +318,17 @@ impl Difference {
 }
 
 impl Comparison {
-    /// A comparison of two systems of a task, given by their positions. If the encoder cannot rank systems
-    /// ([`unranked`]), no system is called better.
+    /// A comparison of two systems of a task, given by their positions. `unranked` says why the encoder ranks no systems
+    /// of the task, if it does not; then no system is called better.
     pub(crate) fn new(
         of_task: &OfTask<'_>,
         pair: [usize; 2],
         protocol: &Protocol,
         encoder: &dyn MotionEncoder,
+        unranked: Option<String>,
         mut differences: Vec<Difference>,
     ) -> Self {
         let counts = &of_task.counts;
-        let unranked = unranked(encoder, of_task.pairing([0, 1]).sides, &of_task.resamples);
         if unranked.is_some() {
             for difference in &mut differences {
                 difference.better = None;

@@ -101,7 +101,8 @@ impl JudgeReport {
         text_latents: &[Vec<f64>],
         motion_latents: &[Vec<f64>],
         encoder_hash: &str,
-        (dataset_hash, split): (&str, Split),
+        dataset_hash: &str,
+        split: Split,
         seed: Seed,
     ) -> Result<Self, Error> {
         let protocol = Protocol {
@@ -416,7 +417,7 @@ mod tests {
             report.weakness().is_none()
         };
         assert!(ranks(30.0, 10.0) && !ranks(29.9, 10.0));
-        // Three times this chance is more than 100 %: halfway to 100 % is enough, chance is not.
+        // Three times a chance of 40 % is above 100 %, so half of the way from chance to 100 % is enough.
         assert!(ranks(70.0, 40.0) && !ranks(69.9, 40.0) && !ranks(40.0, 40.0));
     }
 }

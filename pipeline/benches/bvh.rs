@@ -1,6 +1,7 @@
 //! Measures the paths from BVH text and AMASS archives to Parquet rows on one thread; the same run calibrates the machine.
 //!
-//! Stages are counted in source frames a second, the matrix product in floating-point operations and the copy in bytes.
+//! Stages are counted in source frames a second, the matrix product in floating-point operations and the copy in bytes
+//! read and written.
 
 #[path = "../../datasets-spec/kinematics/benches/shared/calibration.rs"]
 mod calibration;

@@ -47,7 +47,7 @@ pub struct Merged {
     /// table.
     pub gave_way: BTreeMap<String, u64>,
     /// New ids of masks and pairs of the second dataset, by table and by their old ids, under which the first has
-    /// another label.
+    /// another label. Only tables with such labels are there.
     pub renamed_labels: BTreeMap<&'static str, BTreeMap<String, String>>,
     /// Tables of either dataset that the result does not contain: what stages made of all clips.
     pub left_tables: Vec<String>,
@@ -253,9 +253,12 @@ fn added<'a>(
 ) -> Result<Part<'a>, Error> {
     let by_id: BTreeMap<&MotionId, &Clip> =
         known.iter().map(|clip| (&clip.origin.id, clip)).collect();
-    // Captures without a motion have no content; their files tell them apart.
+    // Captures without a motion have no content; their files, where these are known, tell them apart.
     let is_same = |known: &Clip, content: &str, origin: &Origin| match content {
-        "" => known.content.is_empty() && known.origin.source_hash == origin.source_hash,
+        "" => {
+            let file = &origin.source_hash;
+            known.content.is_empty() && !file.is_empty() && known.origin.source_hash == *file
+        }
         content => known.content == content,
     };
     let mut part = Part::new(second, 1, sources, &sources.label);

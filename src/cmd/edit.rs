@@ -244,12 +244,13 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
         "times": made.times,
     });
     global.say(&document, &format!("{rows} rows in {}", out.display()))?;
-    Ok(profile(args, made.times.as_ref(), global))
+    print_profile(args, made.times.as_ref(), global);
+    Ok(Exit::Done)
 }
 
 /// With --profile, prints the times of the steps, in the columns of the paper's Table A4; there are none of edits that
 /// were there already.
-fn profile(args: &Args, times: Option<&EditTimes>, global: &Global) -> Exit {
+fn print_profile(args: &Args, times: Option<&EditTimes>, global: &Global) {
     if args.profile && !global.json {
         report::text(&match times {
             Some(times) => {
@@ -260,7 +261,6 @@ fn profile(args: &Args, times: Option<&EditTimes>, global: &Global) -> Exit {
             None => "the edits were there already; edit into another folder to time it".to_owned(),
         });
     }
-    Exit::Done
 }
 
 /// The instructions as layers: each layer edits the result of the one before.
@@ -367,7 +367,8 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
     let error_cm = 100.0 * edited.misfit.fit_error_m;
     let text = format!("{frames} frames at {fps}, fitted to {error_cm:.1} cm; in {out}");
     global.say(&document, &text)?;
-    Ok(profile(args, Some(&edited.times), global))
+    print_profile(args, Some(&edited.times), global);
+    Ok(Exit::Done)
 }
 
 /// Continues the history of one motion, or begins it.
@@ -423,7 +424,8 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
         session.write(&history, out)?;
     }
     session.say(&history)?;
-    Ok(profile(args, Some(&session.times), global))
+    print_profile(args, Some(&session.times), global);
+    Ok(Exit::Done)
 }
 
 struct Interactive<'a> {

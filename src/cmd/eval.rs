@@ -380,7 +380,10 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let (title, tasks) = (table.title(), table.tasks());
-    if !tables.iter().any(|found| tasks.contains(&&*found.task)) {
+    if !tables
+        .iter()
+        .any(|found| tasks.contains(&found.task.as_str()))
+    {
         let tasks = tasks.join(" and ");
         report::note(&format!(
             "{title} is about {tasks} edits, and there are none; these are the tasks there are"
@@ -389,7 +392,7 @@ fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     }
     let kept = [&tasks[..], &[ALL_TASKS, RECAPTURED]].concat();
     let left: Vec<String> = tables
-        .extract_if(.., |found| !kept.contains(&&*found.task))
+        .extract_if(.., |found| !kept.contains(&found.task.as_str()))
         .map(|found| format!("{} ({} items)", found.task, found.items.count))
         .collect();
     if !left.is_empty() {

@@ -205,7 +205,7 @@ fn settings() -> SettingsChange {
 }
 
 /// The store of a dataset's project.
-fn store_of(dataset: &Path) -> PathBuf {
+pub(crate) fn store_of(dataset: &Path) -> PathBuf {
     dataset.join("annotate/store.sqlite")
 }
 
@@ -953,7 +953,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
                 for task in 0..each {
                     let [here, there] = [0, 1].map(|side| &servers[(number + task + side) % 2].url);
                     let view = person.claim(here, TaskKind::MaskText);
-                    let body = events(&view, &format!("{run}-{number}-{task}"), &masks("waving"));
+                    let body = events(&view, &format!("two-{run}-{number}-{task}"), &masks("waving"));
                     person.save(there, &view, &body);
                     done.lock().expect("no panic").push(view.task.id);
                 }

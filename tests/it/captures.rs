@@ -399,6 +399,8 @@ fn each_person_of_a_capture_is_a_clip() {
     assert_tells(&inspected(&out, "alone"), "points of no person: Box:1");
     assert_quarantined(&out, &[("strange.c3d#Ben", "E-MARKERS")]);
     dir.run("render '@source/take.c3d#Ben' --out @ben.svg");
+    let ran = dir.refused("--json render @source/take.c3d --out @both.svg", "name one");
+    assert_eq!(ran.json::<Value>()["code"], "E-SEVERAL-MOTIONS");
 }
 
 #[test]

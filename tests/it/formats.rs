@@ -463,8 +463,8 @@ fn the_up_axis_can_be_named_and_is_doubted_where_nobody_stands() {
     assert!(lying.0 > 0.4 && standing.0 > 0.4, "{lying:?} {standing:?}");
     assert_eq!([lying.1, bowing.1, standing.1], [false, true, false]);
     let [lying, bowing, standing] = read("named", "--up y");
-    let is_so = lying.0.abs() < 0.1 && standing.0 > 0.4;
-    assert!(is_so, "{lying:?} {standing:?}");
+    let one_stands = lying.0.abs() < 0.1 && standing.0 > 0.4;
+    assert!(one_stands, "{lying:?} {standing:?}");
     assert_eq!([lying.1, bowing.1, standing.1], [false; 3]);
     let ran = dir.typed("ingest @source --out @never --up up");
     ran.expect_code(2)

@@ -100,9 +100,9 @@ pub(crate) fn halves(clips: usize) -> (Folder, PathBuf, PathBuf, PathBuf) {
 
 /// The [`halves`] of a corpus, and a dataset of the first.
 pub(crate) fn begun_with_half(clips: usize) -> (Folder, PathBuf, PathBuf, PathBuf) {
-    let halves = halves(clips);
-    ingest(&[&halves.1], &halves.3, &[], 0);
-    halves
+    let (dir, source, more, dataset) = halves(clips);
+    ingest(&[&source], &dataset, &[], 0);
+    (dir, source, more, dataset)
 }
 
 /// Accepts every automatic mask in the name of a person, and returns the masks.

@@ -19,7 +19,7 @@ use crate::util::{
 };
 
 impl Hub {
-    /// Publishes a folder as a repo, as the rest of the line says, and returns the `--json` document.
+    /// Runs `stance hub push` with the rest of its command line, and returns the `--json` document.
     fn push(&self, line: &str) -> Value {
         self.try_push(line).done()
     }
@@ -178,7 +178,6 @@ fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_
     let push = "@older lab/clips --license MIT";
     let delete = "--delete meta/manifest-2.json";
     hub.push_refused(push, delete);
-    // Whoever deletes the newer version need not say again that this one takes its place.
     let done = hub.push(&format!("{push} {delete}"));
     assert!(words(&done["changed"]).contains("meta/manifest-1.json"));
 }
@@ -205,6 +204,11 @@ fn the_version_of_a_colleague_is_not_replaced_without_a_word() {
     hub.push_refused("@ben lab/clips", "another version 2");
     let done = hub.push("@ben lab/clips --over");
     assert!(words(&done["changed"]).contains("meta/manifest-3.json"));
+    // To delete a newer version is no leave to replace the one before it.
+    commit(&hub.path("older"), quarantined());
+    let delete = "--delete meta/manifest-2.json --delete meta/manifest-3.json";
+    let push = format!("@older lab/clips --license MIT {delete}");
+    hub.push_refused(&push, "another version 1");
     // A repo that everybody reads is not taken for a private one.
     hub.push_refused("@ben lab/clips --private", "public");
 }

@@ -52,7 +52,7 @@ fn motionfix_motion(number: usize, frames: usize) -> Pickled {
 }
 
 /// Writes `count` pairs of MotionFix with keys from 0, and returns the keys. Pair number N, counted from `first`, has
-/// the motions 2 N and 2 N + 1, which differ in length.
+/// the motions 2 N and 2 N + 1, of equal length only where N % 40 is 11.
 pub(crate) fn put_motionfix(folder: &Path, first: usize, count: usize) -> Vec<String> {
     let keys: Vec<String> = (0..count).map(|key| format!("{key:06}")).collect();
     let pairs = keys.iter().zip(first..).map(|(key, number)| {

@@ -10,7 +10,7 @@ use datasets_spec::manifest::RejectedPairs;
 use datasets_spec::record::{MaskRow, PairRow, SkippedRow};
 use serde_json::{Value, json};
 
-use crate::annotate::{answered, from_json, judge_lines, take_back};
+use crate::annotate::{accept, answered, from_json, judge_lines, opened, store_of, take_back};
 use crate::grown::{clips, files, ingest, judge, masks, verified};
 use crate::keys::put_motionfix;
 use crate::util::{
@@ -265,6 +265,34 @@ fn rejected_pairs_stay_rejected_when_a_dataset_goes_back() {
     assert_eq!(restore()["is_current"], true);
     dir.run("pairs @dataset");
     assert_eq!(pairs(&dataset), paired);
+}
+
+#[test]
+fn what_others_rejected_stays_out_although_the_dataset_went_back_between_two_exports() {
+    let dir = Folder::empty();
+    let dataset = labelled(&dir, "dataset", "0");
+    let answer = |part: &str| -> Answer {
+        let mask = json!({ "parts": [part], "text": "waving" });
+        from_json(json!({ "kind": "mask_text", "masks": [mask], "count_reason": "single_action" }))
+    };
+    let people = answered(&dataset, [answer("LEFT_ARM")]);
+    dir.run("annotate @dataset export");
+    let between = manifest_of(&dataset).version;
+    accept(&opened(&store_of(&dataset)), people, answer("HEAD"));
+    dir.run("annotate @dataset export");
+    let of_people = || -> Vec<MaskRow> {
+        let mut rows: Vec<MaskRow> = rows_of(&dataset);
+        rows.retain(|row| row.text_origin == "human");
+        rows
+    };
+    let of_head = of_people().into_iter().find(|mask| mask.parts == ["HEAD"]);
+    judged_one(&dataset, "ben", &of_head.expect("a mask"), "reject");
+    dir.run(&format!("dataset restore @dataset --to {between}"));
+    for _ in 0..2 {
+        dir.run("annotate @dataset export");
+        let parts: Vec<Vec<String>> = of_people().into_iter().map(|mask| mask.parts).collect();
+        assert_eq!(parts, [["LEFT_ARM"]]);
+    }
 }
 
 #[test]

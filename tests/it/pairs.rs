@@ -147,7 +147,8 @@ fn real_style_captures_share_the_split_of_their_take() {
     let folder = Folder::empty();
     let dataset = folder.path("dataset");
     let source = data.join("bvh/bandai_namco_2");
-    folder.run(&format!("ingest {} --out @dataset", source.display()));
+    let ran = folder.typed_with("ingest --out @dataset", &[arg(&source)]);
+    ran.expect_code(0);
     let takes = takes(&dataset, |row| {
         let fields: Vec<&str> = row.id.as_str().split('_').collect();
         let [_, action, _, take] = fields[..] else {

@@ -86,22 +86,39 @@ fn takes_that_are_numbered_alike_belong_to_two_people() {
     assert_eq!(said["code"], "E-SOURCE-NAME", "{said}");
     assert_tells(&said["reason"], &named("anna-bvh", &anna));
     assert!(!fresh.exists());
-    // So are two that hold the same file.
+    // Two sources that hold the same file are refused too.
     let above = dir.path("anna");
     #[cfg(unix)]
     std::os::unix::fs::symlink(&anna, dir.path("link")).expect("linked");
-    for other in [
-        named("all", &above),
-        named("again", &anna),
-        named("one", &anna.join("take1.bvh")),
+    let (twice, renamed) = ("would be ingested twice", "given under several names");
+    for (other, why) in [
+        (named("all", &above), twice),
+        (named("one", &anna.join("take1.bvh")), twice),
+        (named("again", &anna), renamed),
         #[cfg(unix)]
-        named("linked", &dir.path("link")),
+        (named("linked", &dir.path("link")), renamed),
     ] {
-        let said = grow(&[named("anna", &anna), other], &fresh, &[], 2);
-        assert_eq!(said["code"], "E-SOURCE-NAME", "{said}");
-        assert_tells(&said["reason"], "give");
-        assert!(!fresh.exists());
+        let said = grow(&[named("anna", &anna), other.clone()], &fresh, &[], 2);
+        assert_eq!(said["code"], "E-SOURCE-NAME", "{other}: {said}");
+        assert_tells(&said["reason"], why);
+        assert!(!fresh.exists(), "{other}");
     }
+    // A dataset that has both sources goes on, and two files of one folder share its licence.
+    let nested = dir.path("nested");
+    grow(&[named("anna", &anna)], &nested, &[], 0);
+    grow(&[named("all", &above)], &nested, &[], 0);
+    grow(
+        &[named("anna", &anna), named("all", &above)],
+        &nested,
+        &[],
+        0,
+    );
+    let licence = anna.join("LICENSE");
+    put(&licence, "SPDX-License-Identifier: CC0-1.0\n");
+    let [first, second] = ["take0.bvh", "take1.bvh"].map(|take| anna.join(take));
+    let alone = [named("first", &first), named("second", &second)];
+    grow(&alone, &dir.path("alone"), &[], 0);
+    fs::remove_file(&licence).expect("removed");
     let both = [named("anna", &anna), named("ben", &ben)];
     grow(&both, &fresh, &[], 0);
     let ids: Vec<String> = clips(&fresh).into_keys().collect();
@@ -455,7 +472,10 @@ fn many_processes_grow_a_dataset_alike() {
     let sources = [named("anna", &anna), named("ben", &ben)];
     let done = grow(&sources, &one, &["--prune"], 0);
     let [anna, named_ben] = &sources;
-    let made = dir.staged(&format!("ingest {anna} {named_ben} --prune --into @many"));
+    let plan = "stage plan ingest --prune --into @many --out @plan";
+    dir.typed_with(plan, &[anna, named_ben]).expect_code(0);
+    dir.run("stage work @plan");
+    let made: Value = dir.json("stage commit @plan");
     assert_eq!(made["root_hash"], done["root_hash"]);
     // A committed plan records the paths of sources too.
     let again = grow(&[&ben], &many, &[], 0);

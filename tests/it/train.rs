@@ -139,7 +139,7 @@ impl Workshop {
         root_hash_of(&self.path("dataset"))
     }
 
-    /// A clip of the corpus, of a workshop that has it.
+    /// The first clip of the corpus, for a workshop that has its folder.
     pub(crate) fn clip(&self) -> PathBuf {
         files_with_extension(&self.path("corpus"), "bvh").remove(0)
     }
@@ -213,7 +213,8 @@ fn the_released_pose_network_begins_as_pytorchs_layers_do() {
     assert_eq!(variances.len(), 128);
     // The report and the weights beside it are of the best checkpoint, which edits use.
     assert_eq!(tensors(&workshop.path("poses/model.safetensors")), weights);
-    // The record has the intervals of so short a run. A run of an earlier version, which has the preset's, goes on.
+    // So short a run has shorter intervals than the preset, and records them. Earlier versions recorded those of the
+    // preset; such a run goes on.
     let mut record = workshop.record("poses");
     for (interval, of_preset) in [("log_every", 100), ("val_every", 200)] {
         assert_eq!(record["config"][interval], 1);
@@ -336,7 +337,7 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
             assert!(!workshop.path("none").exists(), "{model} {nothing}");
         }
     }
-    // Settings of a vocabulary are refused where it is that of the first run.
+    // A run that begins with the weights of another keeps its vocabulary, so settings of another one are refused.
     for (model, words) in [("motionrefit", "text.words"), ("tmr", "text")] {
         let settings = workshop.text(settings(model));
         workshop.put("fewer.toml", format!("{words}.max_words = 3\n{settings}"));
@@ -347,7 +348,14 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
     }
     let poses = "train j2s @dataset --out @poses --preset official --steps";
     workshop.run(&format!("{poses} 4"));
+    // An extended run records the intervals that it uses, also if it recorded those of the preset before.
+    let mut record = workshop.record("poses");
+    for (interval, of_preset) in [("log_every", 100), ("val_every", 200)] {
+        record["config"][interval] = of_preset.into();
+    }
+    workshop.put("poses/config.json", record.to_string());
     workshop.run(&format!("{poses} 8 --extend"));
+    assert_eq!(workshop.record("poses")["config"]["log_every"], 1);
     assert_eq!(workshop.record("poses")["lineage"][0]["step"], 4);
 }
 
@@ -376,17 +384,23 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         ("png", b"\x89PNG"),
         ("gif", b"GIF8"),
     ];
+    for epoch in ["epoch-10", "epoch-8"] {
+        fs::create_dir(workshop.path(&format!("editor/checkpoint/{epoch}"))).expect("a folder");
+    }
     for (more, said) in [
         ("--temperature=-1", "setting temperature is not usable"),
         ("--prior=-1", "setting prior is not usable"),
         ("--guidance nan", "setting guidance is not usable"),
         (
             "--checkpoint epoch-9",
-            "has no checkpoint epoch-9; it has best, last",
+            "has no checkpoint epoch-9; it has best, last, epoch-8, epoch-10",
         ),
     ] {
         let line = format!("{edit} --text wave --out @none.npz {more}");
         workshop.typed(&line).expect_refused(said);
+    }
+    for epoch in ["epoch-10", "epoch-8"] {
+        fs::remove_dir(workshop.path(&format!("editor/checkpoint/{epoch}"))).expect("removed");
     }
     let line =
         format!("{edit} --text wave --coordinator @guide --coordinator-steps 99 --out @none.npz");

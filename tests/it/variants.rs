@@ -155,7 +155,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let counts = &import("second.sqlite")["counts"];
     assert!(counts["new_tasks"].is_null(), "{counts}");
 
-    // What was paired of some clips is not the result for others, which the same condition chooses now.
+    // The same condition chooses other clips now. What was paired of the former ones is not taken for their result.
     let some = format!("variants @candidates --out @some {ANY} --where has_pair");
     workshop.run(&some);
     workshop.run(&some);

@@ -55,7 +55,7 @@ fn main() {
     let (batches, samples) = match (is_quick, name) {
         (true, _) => (vec![8], vec![1]),
         // A processor takes a quarter of an hour for 1,024 edits.
-        (false, DeviceName::Cpu) => (vec![64, 256], vec![1, 32]),
+        (false, DeviceName::Cpu | DeviceName::Ndarray) => (vec![64, 256], vec![1, 32]),
         (false, _) => (vec![64, 256, 1024], vec![1, 32, 1024]),
     };
     for batch in batches {

@@ -21,6 +21,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Digest;
 use datasets_spec::dataset::Staging;
 use datasets_spec::store::{Disk, Lock, Locking, Store, if_exists};
 use kinematics::normalise::Normalizer;
@@ -113,8 +114,12 @@ impl<'a, P: AsRef<Path> + ?Sized> From<&'a P> for Start<'a> {
 impl<'a> Start<'a> {
     /// The run whose fitted parts and texts hold: this run if it has begun, else the one it starts from.
     pub(crate) fn known(&self) -> Option<&'a Path> {
-        let own = self.run.join(CONFIG).exists().then_some(self.run);
-        own.or(self.init)
+        self.has_begun().then_some(self.run).or(self.init)
+    }
+
+    /// Whether this run has begun.
+    pub(crate) fn has_begun(&self) -> bool {
+        self.run.join(CONFIG).exists()
     }
 
     /// The record with the run's fitted parts: the run's own record if it has begun, else that of the run it starts
@@ -516,17 +521,14 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
 /// Hash of a checkpoint's weights, as editors and tables record it: BLAKE3 of the configuration and the weight files
 /// without [`EMA_PREFIX`], hexadecimal.
 fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
-    let mut hasher = blake3::Hasher::new();
+    let mut digest = Digest::default();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");
-    let weights = files
-        .iter()
-        .filter(|(name, _)| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX))
-        .map(|(_, bytes)| bytes.as_slice());
-    for part in std::iter::once(config.as_slice()).chain(weights) {
-        hasher.update(&(part.len() as u64).to_le_bytes());
-        hasher.update(part);
+    digest.part(&config);
+    let is_weights = |name: &str| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX);
+    for (_, bytes) in files.iter().filter(|(name, _)| is_weights(name)) {
+        digest.part(bytes);
     }
-    hasher.finalize().to_hex().to_string()
+    digest.hex()
 }
 
 /// The step that a checkpoint's state records under `field`; 0 if it records none.

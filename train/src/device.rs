@@ -33,7 +33,8 @@ pub enum DeviceName {
 }
 
 datasets_spec::named! {
-    /// A kind of card that wgpu knows, with its name on the command line. `wgpu` searches in this order.
+    /// A kind of card that wgpu knows, with its name on the command line. The device `wgpu` tries the kinds in this order,
+    /// except software drivers.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum Adapter, named by name {
         /// A card with its own memory.

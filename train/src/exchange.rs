@@ -407,7 +407,7 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
             train, normalizer, ..
         } = opened.record.config;
         if train.diffusion.tell_frames {
-            foreign.push(["tell_frames", "tell_frames = false"]);
+            foreign.push(("tell_frames", "tell_frames = false"));
         }
         (opened.files, Denoiser::FILE, train.model, normalizer)
     };
@@ -422,12 +422,12 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
     Ok(vec![weights, range])
 }
 
-/// The released form of a network. `foreign` is what its settings have beyond the released network, and what to train
-/// with instead: the released program could load such a model only in part. Layers are added to it.
+/// The network in the released form. `foreign` lists settings that the released network lacks, each with what to train
+/// with instead; layers that it lacks are added to the list. If any are listed, the export is refused.
 fn with_tables(
     bytes: &[u8],
     width: usize,
-    mut foreign: Vec<[&str; 2]>,
+    mut foreign: Vec<(&str, &str)>,
     path: &Path,
 ) -> Result<Vec<u8>, Error> {
     let weights = |problem: safetensors::SafeTensorError| Error::weights(path, problem);
@@ -438,14 +438,12 @@ fn with_tables(
         ("gate", "another prediction than \"gated\""),
     ] {
         if file.names().iter().any(|name| name.starts_with(layers)) {
-            foreign.push([layers, instead]);
+            foreign.push((layers, instead));
         }
     }
     if !foreign.is_empty() {
-        let [found, instead] = [0, 1].map(|side: usize| {
-            let names: Vec<&str> = foreign.iter().map(|names| names[side]).collect();
-            names.join(" and ")
-        });
+        let (found, instead): (Vec<&str>, Vec<&str>) = foreign.into_iter().unzip();
+        let (found, instead) = (found.join(" and "), instead.join(" and "));
         return Err(Error::misfit(
             "the model",
             format!("it has {found}, which the released network lacks; train one with {instead}"),

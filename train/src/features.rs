@@ -50,7 +50,7 @@ pub fn smpl135(poses: &[Pose]) -> Vec<FeatureFrame> {
 }
 
 datasets_spec::named! {
-    /// Motion features of an encoder, with their name as recorded with normalised data.
+    /// Motion features of an encoder. The name is recorded with normalised data.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
     #[serde(rename_all = "lowercase")]
     pub enum FeatureRecipe, named by name {

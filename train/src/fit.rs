@@ -121,7 +121,8 @@ impl TextRecord {
     /// words of `texts`, or the encoder of `vectors`.
     pub(crate) fn chosen<'a>(
         config: &TextConfig,
-        (start, known): (Start<'_>, Option<Self>),
+        start: Start<'_>,
+        known: Option<Self>,
         texts: impl IntoIterator<Item = &'a str>,
         vectors: Option<&EmbeddingTable>,
     ) -> Result<Self, Error> {
@@ -222,8 +223,8 @@ pub fn train_motionrefit<'a>(
         .map(|known| (known.text, known.extrapolation))
         .unzip();
     let instructions = corpus.instructions.iter().map(String::as_str);
-    let known = (start, known_text);
-    let text = TextRecord::chosen(&config.text, known, instructions, corpus.vectors)?;
+    let vectors = corpus.vectors;
+    let text = TextRecord::chosen(&config.text, start, known_text, instructions, vectors)?;
     let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?;
     let sampler = WindowSampler {

@@ -205,22 +205,38 @@ pub fn train_j2s<'a>(
     };
     let intervals = |config: &J2sConfig| (config.run.log_every, config.run.val_every);
     let known: Option<J2sConfig> = own.fitted(KIND)?;
-    let config = &match known.is_some_and(|known| intervals(&known) == intervals(config)) {
+    let stays = !start.extend && known.is_some_and(|known| intervals(&known) == intervals(config));
+    let config = &match stays {
         true => config.clone(),
         false => config.used(),
     };
     let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone()).trained_in(session);
     let run = Run::open(start, &document)?;
     let run_dir = run.dir();
-    let data = (config, motions, skeleton);
     let done = match config.preset {
         J2sPreset::Paper => {
             let network = |device: &Device| PaperPoseNet::new(config.width, device);
-            fit(PaperPoseNet::forward, &network, data, &run, session)?
+            fit(
+                PaperPoseNet::forward,
+                &network,
+                config,
+                motions,
+                skeleton,
+                &run,
+                session,
+            )?
         }
         J2sPreset::Official => {
             let network = |device: &Device| OfficialPoseNet::new(config.width, device);
-            fit(OfficialPoseNet::forward, &network, data, &run, session)?
+            fit(
+                OfficialPoseNet::forward,
+                &network,
+                config,
+                motions,
+                skeleton,
+                &run,
+                session,
+            )?
         }
     };
     // Edits use the best checkpoint; a run that was stopped early may have only the last one.
@@ -249,7 +265,9 @@ pub fn train_j2s<'a>(
 fn fit<M: Networks>(
     forward: fn(&M, Tensor<2>) -> Tensor<2>,
     network: &(dyn Fn(&Device) -> M + Sync),
-    (config, [train, val], skeleton): (&J2sConfig, [&[Motion]; 2], &Skeleton),
+    config: &J2sConfig,
+    [train, val]: [&[Motion]; 2],
+    skeleton: &Skeleton,
     run: &Run,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {

@@ -1,7 +1,8 @@
 //! Models, diffusion, trainer and editor for text-guided motion editing.
 //!
-//! A model is trained from a dataset folder into a run folder by a function of [`stage`], and a trained editor answers
-//! test items as an [`system::EditSystem`]. [`registry::MODELS`] lists the models. Only [`device::open`] chooses a
+//! A model is trained from a dataset folder into a run folder by the `train` of its [`kind::ModelKind`]
+//! ([`registry::model`]), the editor also by [`stage::editor::train_editor`]. A trained editor answers test items as an
+//! [`system::EditSystem`]. [`registry::MODELS`] lists the models. Only [`device::open`] chooses a
 //! device, and only [`remote_store::hub::HubCache::fetch`] uses the network. The crate does not read the clock or the
 //! environment; the caller passes them in a [`Session`].
 //!

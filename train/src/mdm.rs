@@ -176,8 +176,8 @@ pub fn train_mdm<'a>(
     let start = start.into();
     let fitted: Option<MdmRecord> = start.fitted(KIND)?;
     let (known_text, known_features) = fitted.map(|known| (known.text, known.features)).unzip();
-    let known = (start, known_text);
-    let text = TextRecord::chosen(&config.text, known, corpus.captions(), corpus.vectors)?;
+    let (captions, vectors) = (corpus.captions(), corpus.vectors);
+    let text = TextRecord::chosen(&config.text, start, known_text, captions, vectors)?;
     let rows = |clips, what| captioned_rows(clips, corpus.skeleton, config.min_frames, what);
     let train = rows(corpus.train, "training split of MDM")?;
     let val = rows(corpus.val, "validation split of MDM")?;

@@ -100,6 +100,9 @@ pub fn of_training(
 }
 
 /// A batch of windows without texts, because the objective is given their vectors.
+///
+/// # Shapes
+/// Windows of `rows` items, `[B, W * 84]`.
 pub fn noisy_batch(rows: usize) -> NoisyBatch {
     let numbers = rows * WINDOW_FRAMES * FRAME_WIDTH;
     let values = || -> Vec<f32> { (0..numbers).map(|at| (at as f32 * 0.37).sin()).collect() };

@@ -6,7 +6,7 @@ use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::checkpoint::{CONFIG, Start};
+use crate::checkpoint::Start;
 use crate::config::{WordsConfig, ensure, positive};
 
 /// Id of the padding token, which fills rows up to the length of the longest.
@@ -85,8 +85,8 @@ impl Vocabulary {
         })
     }
 
-    /// Refuses settings of a vocabulary that a new run makes no use of, because it keeps this one with the weights that
-    /// it begins with. A run that has begun keeps the settings that it recorded.
+    /// Refuses settings of another vocabulary than this one, which a new run takes over with the weights that it begins
+    /// with. A run that has begun keeps the settings that it recorded.
     pub(crate) fn check_kept(
         &self,
         field: &'static str,
@@ -99,7 +99,7 @@ impl Vocabulary {
             "the run keeps the vocabulary of the weights that it begins with; set num_buckets = {buckets} and \
              max_words = {most} as there"
         );
-        ensure(is_kept || start.run.join(CONFIG).exists(), field, problem)
+        ensure(is_kept || start.has_begun(), field, problem)
     }
 
     /// Number of tokens: padding, words and buckets.

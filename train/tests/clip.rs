@@ -71,7 +71,8 @@ fn golden_clip_text() {
         check(network.forward(&tokens), &golden, &name, TOLERANCE);
     }
     let end_pad = ids(&golden, "in.ids_end_pad");
-    // The reference masks padding here. It follows the end token, which causal attention does not show it to.
+    // The reference masks padding here, which changes nothing: padding comes after the end token, and causal attention
+    // looks back only.
     let hidden = network.hidden(&end_pad);
     let pooled = network.project(hidden.clone(), &end_pad);
     let name = "out.end_pad_masked.text_embeds";

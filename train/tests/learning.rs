@@ -366,13 +366,17 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     let loaded = Editor::load(dir.path(), Slot::Best, &Device::flex());
     refused(loaded, "extrapolation.shape");
     std::fs::write(&path, whole).expect("writes");
-    let told = tempfile::tempdir().expect("a folder");
+    let [told, alone] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
     config.run.length.steps = 1;
     config.diffusion.tell_frames = true;
     train(told.path(), &config, &waves(16));
+    let mut plain = change_config(1);
+    plain.diffusion.tell_frames = true;
+    train(alone.path(), &plain, &waves(16));
     // The released network has neither gates nor `tell_frames`. All that a model has beyond it is named at once.
     for (run, why) in [
         (&dir, "it has gate,"),
+        (&alone, "it has tell_frames,"),
         (&told, "it has tell_frames and gate,"),
     ] {
         let out = tempfile::tempdir().expect("a folder");

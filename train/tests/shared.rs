@@ -21,9 +21,13 @@ use train::text::source::TextEncoderSource;
 use train::{Error, Session};
 
 /// Checks that the result is an error whose message contains `why`.
+#[track_caller]
 pub(crate) fn refused<T>(result: Result<T, Error>, why: &str) {
-    let error = result.err().expect("refused").to_string();
-    assert!(error.contains(why), "{error}");
+    let Err(error) = result else {
+        panic!("not refused: {why}");
+    };
+    let error = error.to_string();
+    assert!(error.contains(why), "{why:?} is not in: {error}");
 }
 
 /// Runs `act` with a session that reports nothing and never stops.
@@ -32,6 +36,7 @@ pub(crate) fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
 }
 
 /// Opens the editor of a run.
+#[track_caller]
 pub(crate) fn opened(run: &Path, config: &EditConfig) -> Box<dyn EditSystem> {
     let source = SystemSource::best(run, TextEncoderSource::default());
     let skeleton = Skeleton::smplx_neutral();

@@ -35,7 +35,7 @@ pub struct PageQuery {
     pub limit: usize,
 }
 
-/// Reads a number that sets a flag unless it is 0.
+/// Reads a flag that is written as a number: 0 for no, any other for yes.
 fn flag<'de, D: Deserializer<'de>>(number: D) -> Result<bool, D::Error> {
     Ok(i64::deserialize(number)? != 0)
 }

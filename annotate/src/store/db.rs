@@ -152,7 +152,7 @@ pub(crate) trait Database: Send + Sync {
     }
 }
 
-/// [`Database::read`] or [`Database::write`], which `run` calls, with a value as its result.
+/// Passes work to [`Database::read`] or [`Database::write`], which `run` calls, and returns the value of the work.
 pub(crate) fn with_value<'a, T: Send + 'a>(
     run: impl FnOnce(Work<'a>) -> Result<()>,
     work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'a,

@@ -76,8 +76,8 @@ pub(crate) struct Place {
 /// Body of an entry. `request` is the hash of the request; it tells a repeated request from another one with the same
 /// key.
 ///
-/// Fields that hold ids of people are called `user`, `author` or `authors`: an export of the log replaces them by
-/// pseudonyms.
+/// Fields that hold ids of people are called `user`, `author`, `authors` or `people`: an export of the log replaces them
+/// by pseudonyms. Below the top level it looks into `settings` and their `rules` alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub(crate) enum Body {

@@ -1,5 +1,6 @@
 //! Filters of tasks, as conditions in SQL.
 
+use std::collections::BTreeSet;
 use std::str::FromStr;
 
 use super::db::{Result, ToSql};
@@ -114,34 +115,33 @@ fn skipped(by: SkipFilter) -> String {
 
 /// The SQL condition for tasks whose answers, clips or own fields contain a text.
 fn contains(text: &str, values: &mut Values) -> String {
-    // SQLite's lower() and LIKE know the case of ASCII letters alone.
-    let spellings = match text.is_ascii() {
-        true => vec![text.to_lowercase()],
-        false => vec![text.to_lowercase(), text.to_uppercase(), text.to_owned()],
+    let text = text.to_lowercase();
+    // lower() knows ASCII letters alone in SQLite, and in PostgreSQL with LC_CTYPE C.
+    let others: BTreeSet<char> = text.chars().filter(|letter| !letter.is_ascii()).collect();
+    let mut replaced = Vec::new();
+    for small in others {
+        let mut capital = small.to_uppercase();
+        if let (Some(capital), None) = (capital.next(), capital.next()) {
+            replaced.push([capital, small].map(|letter| values.put(letter.to_string())));
+        }
+    }
+    let lower = |column: &str| {
+        let ascii = format!("lower({column})");
+        let folded = replaced.iter();
+        folded.fold(ascii, |text, [capital, small]| {
+            format!("replace({text}, {capital}, {small})")
+        })
     };
-    let mut patterns = |of: fn(&str) -> String| -> Vec<String> {
-        let all = spellings.iter().map(|text| pattern(&of(text)));
-        all.map(|pattern| values.put(pattern)).collect()
-    };
-    let plain = patterns(str::to_owned);
-    // Captions are a list in JSON, where quotation marks and backslashes are escaped.
-    let in_json = patterns(|text| {
-        let quoted = serde_json::Value::from(text).to_string();
-        quoted[1..quoted.len() - 1].to_owned()
-    });
-    let one_of = |column: &str, patterns: &[String]| {
-        let like = |pattern: &String| format!("{column} LIKE {pattern} ESCAPE '\\'");
-        format!(
-            "({})",
-            patterns.iter().map(like).collect::<Vec<_>>().join(" OR ")
-        )
-    };
-    let fits = |column: &str| one_of(column, &plain);
+    // Captions are stored as a list in JSON, which escapes quotation marks and backslashes.
+    let quoted = serde_json::Value::from(text.as_str()).to_string();
+    let in_json = values.put(like(&quoted[1..quoted.len() - 1]));
+    let plain = values.put(like(&text));
+    let fits = |column: &str| format!("{column} LIKE {plain} ESCAPE '\\'");
     let clip = |hash: &str| {
         format!(
-            "EXISTS (SELECT 1 FROM motion m WHERE m.hash = {hash} AND ({} OR {}))",
-            fits("lower(m.id)"),
-            one_of("lower(m.captions)", &in_json)
+            "EXISTS (SELECT 1 FROM motion m WHERE m.hash = {hash} AND ({} OR {} LIKE {in_json} ESCAPE '\\'))",
+            fits(&lower("m.id")),
+            lower("m.captions")
         )
     };
     let any = [
@@ -155,9 +155,9 @@ fn contains(text: &str, values: &mut Values) -> String {
         ),
         clip("t.source"),
         clip("t.target"),
-        fits("lower(t.category)"),
-        fits("lower(t.hint)"),
-        fits("lower(t.style)"),
+        fits(&lower("t.category")),
+        fits(&lower("t.hint")),
+        fits(&lower("t.style")),
     ];
     format!("({})", any.join(" OR "))
 }
@@ -195,12 +195,9 @@ pub(super) fn cursor<T: FromStr>(field: &str, text: &str) -> Result<(T, i64)> {
 /// The LIKE pattern for a text anywhere in a lower-case column. Spaces around the text are ignored; a blank text
 /// matches everything.
 pub(super) fn like(text: &str) -> String {
-    pattern(&text.trim().to_lowercase())
-}
-
-/// The LIKE pattern for a text anywhere in a column.
-fn pattern(text: &str) -> String {
     let escaped = text
+        .trim()
+        .to_lowercase()
         .replace('\\', "\\\\")
         .replace('%', "\\%")
         .replace('_', "\\_");

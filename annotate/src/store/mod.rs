@@ -69,7 +69,7 @@ pub use records::{
 };
 pub use store::{Store, Upgrade};
 
-/// Opens the store of a file, creating it if needed. A store of an older version is copied, then upgraded
+/// Opens the store in a file, or creates it. A store of an older version is upgraded after a copy of it was made
 /// ([`Store::upgrade`]).
 ///
 /// # Errors

@@ -413,7 +413,7 @@ pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) ->
         category: task.category,
         hint: task.hint,
         style: task.style,
-        // Any number of people may answer a gold task, each once.
+        // A gold task takes answers without limit, and is shown as one that wants one, as in `shown`.
         wanted: if task.gold.is_some() { 1 } else { task.wanted },
         submitted: task.submitted,
         bundle,

@@ -1,7 +1,7 @@
 //! Enums whose values have names.
 
-/// Declares an enum whose values have names, by which tables, files and command lines refer to them. The last word
-/// before the values is the method that returns a name.
+/// Declares an enum whose values have names in tables, files and command lines. `named by METHOD` says which method
+/// returns the name of a value.
 #[macro_export]
 macro_rules! named {
     (

@@ -6,7 +6,6 @@ use crate::motion::{Motion, MotionBuilder};
 use crate::pose::Pose;
 use crate::rotation::slerp;
 pub use crate::simd::blocks::interpolate_all;
-use crate::units::no_rate;
 use crate::{Error, Fps};
 
 /// Tolerance of the time of the last frame, in output frames. Files round their rates, so a frame that is due a
@@ -91,7 +90,10 @@ pub fn interpolate(from: &Pose, to: &Pose, alpha: f64) -> Pose {
 fn floor_stride(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     let stride = (motion.fps().get() / target.get()).floor() as usize;
     if stride == 0 {
-        return Err(no_rate(motion.fps().get()));
+        return Err(Error(format!(
+            "{} is below {target}, and this rule only drops frames",
+            motion.fps()
+        )));
     }
     Motion::new(
         target,
@@ -155,6 +157,12 @@ mod tests {
         let out = dropped(&source).expect("drops");
         assert_eq!(out.len(), 9, "stride floor(250 / 20) = 12");
         assert_eq!(out.transl()[3], source.transl()[36]);
-        assert!(dropped(&steady(10.0, 5)).is_err());
+        let refused = dropped(&steady(10.0, 5))
+            .expect_err("a lower rate")
+            .to_string();
+        assert_eq!(
+            refused,
+            "10 fps is below 20 fps, and this rule only drops frames"
+        );
     }
 }

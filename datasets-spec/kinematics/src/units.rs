@@ -26,10 +26,12 @@ impl Fps {
     /// # Errors
     /// The rate is not positive and finite.
     pub fn new(frames_per_second: f64) -> Result<Self, Error> {
-        match frames_per_second.is_finite() && frames_per_second > 0.0 {
-            true => Ok(Self(frames_per_second)),
-            false => Err(no_rate(frames_per_second)),
+        if frames_per_second.is_finite() && frames_per_second > 0.0 {
+            return Ok(Self(frames_per_second));
         }
+        Err(Error(format!(
+            "frame rate must be positive and finite, got {frames_per_second}"
+        )))
     }
 
     /// Reads a rate that a file states with limited precision: a rate within a part in five
@@ -64,10 +66,6 @@ impl TryFrom<f64> for Fps {
     fn try_from(value: f64) -> Result<Self, Error> {
         Self::new(value)
     }
-}
-
-pub(crate) fn no_rate(got: f64) -> Error {
-    Error(format!("frame rate must be positive and finite, got {got}"))
 }
 
 impl std::fmt::Display for Fps {

@@ -11,8 +11,8 @@ use super::layout::{
 };
 use super::open::Dataset;
 use crate::manifest::{
-    ANNOTATE_FACTS, Accounting, FORMAT, FileEntry, Manifest, REJECTED_MASKS_FACT,
-    REJECTED_PAIRS_FACT, add_rejected,
+    ANNOTATE_FACTS, ANNOTATE_KNOWN_FACT, ANNOTATE_SEQ_FACT, ANNOTATE_STORE_FACT, Accounting,
+    FORMAT, FileEntry, Manifest, REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, add_rejected,
 };
 use crate::store::{ByPath, Lock, Locking, Store, create_folder, write_bytes, write_new};
 use crate::table::SCHEMA_VERSION;
@@ -184,8 +184,8 @@ impl Transaction {
         self.publish(manifest, &commit.plan_hash)
     }
 
-    /// Facts of an older version once it is restored: what people rejected since stays rejected, and an
-    /// annotation project that exported since stays known.
+    /// Facts of an older version once it is restored. What people rejected since stays rejected. If the version knows no
+    /// annotation project, the one that exported since stays known; if it knows the same one, its last export does.
     ///
     /// # Errors
     /// As [`Manifest::fact`].
@@ -203,6 +203,13 @@ impl Transaction {
             let known = self.base.iter().flat_map(|base| &base.facts);
             let known = known.filter(|(name, _)| is_of_project(name));
             facts.extend(known.map(|(name, value)| (name.clone(), value.clone())));
+        } else if let Some(base) = &self.base {
+            let store = |facts: &BTreeMap<String, String>| facts.get(ANNOTATE_STORE_FACT).cloned();
+            let known = base.facts.get(ANNOTATE_KNOWN_FACT);
+            let known = known.or(base.facts.get(ANNOTATE_SEQ_FACT));
+            if let Some(known) = known.filter(|_| store(&base.facts) == store(&facts)) {
+                facts.insert(ANNOTATE_KNOWN_FACT.to_owned(), known.clone());
+            }
         }
         if pairs != of.rejected_pairs()? {
             let pairs = serde_json::to_string(&pairs).expect("texts serialise");

@@ -165,7 +165,7 @@ impl NewFile for Staged {
         sync_folder_of(&self.path)
     }
 
-    fn publish_new(self: Box<Self>) -> io::Result<()> {
+    fn publish_new(mut self: Box<Self>) -> io::Result<()> {
         use io::ErrorKind::{AlreadyExists, PermissionDenied, Unsupported};
 
         self.synced()?;
@@ -177,7 +177,9 @@ impl NewFile for Staged {
                 if self.path.exists() {
                     return Err(AlreadyExists.into());
                 }
-                self.publish()
+                fs::rename(&self.staged, &self.path)?;
+                self.file = None;
+                sync_folder_of(&self.path)
             }
             Err(error) => Err(error),
         }

@@ -245,7 +245,7 @@ impl VisitorMut for Rewriting<'_> {
     }
 
     fn post_visit_expr(&mut self, expr: &mut Expr) -> ControlFlow<String> {
-        let list = |expr: &Expr| self.names.list(expr);
+        let list_of = |expr: &Expr| self.names.list(expr);
         let made = match expr {
             Expr::Like {
                 negated,
@@ -267,18 +267,20 @@ impl VisitorMut for Rewriting<'_> {
                     BinaryOperator::NotEq => Some(true),
                     _ => None,
                 };
-                let found = list(left).zip(negated);
-                Ok(found
+                let compared = list_of(left).zip(negated);
+                Ok(compared
                     .map(|(list, negated)| one_of(&list, negated, std::slice::from_ref(&**right))))
             }
             Expr::InList {
                 expr,
                 list: values,
                 negated,
-            } => Ok(list(expr).map(|list| one_of(&list, *negated, values))),
-            Expr::IsNull(inner) => Ok(list(inner).map(|list| format!("array_length({list}) = 0"))),
+            } => Ok(list_of(expr).map(|list| one_of(&list, *negated, values))),
+            Expr::IsNull(inner) => {
+                Ok(list_of(inner).map(|list| format!("array_length({list}) = 0")))
+            }
             Expr::IsNotNull(inner) => {
-                Ok(list(inner).map(|list| format!("array_length({list}) > 0")))
+                Ok(list_of(inner).map(|list| format!("array_length({list}) > 0")))
             }
             Expr::Function(function) => Ok(self.length(function)),
             Expr::Cast {
@@ -475,7 +477,8 @@ pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
                 return ControlFlow::Continue(());
             }
             let table = MotionRow::TABLE;
-            let columns = self.names.tables.get(table).map_or(&[][..], Vec::as_slice);
+            let columns = self.names.tables.get(table);
+            let columns = columns.map(Vec::as_slice).unwrap_or_default();
             let parts: &[Ident] = match expr {
                 Expr::Identifier(ident) => std::slice::from_ref(ident),
                 Expr::CompoundIdentifier(parts) => parts,

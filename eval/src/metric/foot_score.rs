@@ -39,7 +39,13 @@ const STILL_SPEED: f64 = 0.075;
 /// Height in metres below which a foot joint counts as touching the floor (DIMOS).
 const TOUCH_HEIGHT: f64 = 0.05;
 
-/// The foot joints among the points of frames, of which the first are the body joints.
+/// The foot joints among the points of frames.
+///
+/// # Shapes
+/// `frames` `[L, K]` in metres, of which the first 12 are joints of SMPL-X in its order; the result is `[L, 4]`.
+///
+/// # Panics
+/// If a frame has fewer than 12 points.
 pub fn feet<const K: usize>(frames: &[[DVec3; K]]) -> Vec<Feet> {
     frames
         .iter()

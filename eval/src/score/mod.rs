@@ -284,6 +284,11 @@ impl<'a> OfTask<'a> {
         }
     }
 
+    /// Why an encoder ranks no systems of the task, if it does not.
+    pub(crate) fn unranked(&self, encoder: &dyn MotionEncoder) -> Option<String> {
+        unranked(encoder, self.pairing([0, 1]).sides, &self.resamples)
+    }
+
     /// Paired differences in the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor
     /// and against the next worse system in E2T R@1.
     fn claims(&self, encoder: &dyn MotionEncoder) -> Vec<Comparison> {
@@ -298,9 +303,10 @@ impl<'a> OfTask<'a> {
         ranked.sort_by(|&a, &b| recall(b).total_cmp(&recall(a)));
         let against_identity = ranked.iter().map(|&place| [1, place]);
         let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
+        let unranked = self.unranked(encoder);
         let of_pair = |pair: [usize; 2]| {
             let claims = self.pairing(pair).differences(&CLAIMS);
-            Comparison::new(self, pair, self.protocol, encoder, claims)
+            Comparison::new(self, pair, self.protocol, encoder, unranked.clone(), claims)
         };
         against_identity.chain(neighbours).map(of_pair).collect()
     }
@@ -308,7 +314,7 @@ impl<'a> OfTask<'a> {
 
 /// Why an encoder ranks no systems on some items; `None` if it can. `of_items` are the values of the real data and of
 /// the identity editor. It continues a sentence.
-pub(crate) fn unranked(
+fn unranked(
     encoder: &dyn MotionEncoder,
     of_items: [&OfItems; 2],
     resamples: &Resamples,

@@ -44,7 +44,7 @@ pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
 ///
 /// The best systems of a metric are those with the best printed value, provided that it is better than the identity
 /// editor's. A system that does not edit ([`idle`]) is never best. A metric without any interval over test sets, because
-/// too few targets have values of it, ranks nothing.
+/// too few targets have values of it or the values are constant, ranks nothing.
 pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
     let idle = idle(scores);
     let mut of_metrics: BTreeMap<&str, Vec<usize>> = BTreeMap::new();

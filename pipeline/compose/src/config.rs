@@ -120,11 +120,11 @@ datasets_spec::named! {
     #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum EditKind, named by as_str {
-        /// A body part does something else (paper: semantic, release: regen).
+        /// A body part does something else. The release calls it `regen`.
         Semantic = "semantic",
-        /// A body part moves in another style (release: style_transfer).
+        /// A body part moves in another style. The release calls it `style_transfer`.
         Style = "style",
-        /// A body part moves a little differently (release: adjustment).
+        /// A body part moves a little differently. The release calls it `adjustment`.
         FineGrained = "fine-grained",
     }
 }
@@ -177,7 +177,7 @@ datasets_spec::named! {
         /// None: the longer motion is cropped to the length of the shorter.
         #[default]
         None = "none",
-        /// The motion before the edit is time-warped to align its poses with the motion after it.
+        /// The original is time-warped, so that its poses come at the times of similar poses of the edited motion.
         TimeWarp = "time-warp",
     }
 }

@@ -638,7 +638,7 @@ mod tests {
             (|row, _| row.transl[3][1] = f32::NAN, "clip1 is not usable"),
             (|_, mask| mask.motion_id = id("other"), "to motion other"),
             (|_, mask| mask.text = " ".to_owned(), "has no text"),
-            (|_, mask| mask.hard_joints = vec!["tail".into()], "usable"),
+            (|_, mask| mask.hard_joints = vec!["tail".into()], "mask \""),
             (
                 |_, mask| {
                     mask.hard_joints.clear();

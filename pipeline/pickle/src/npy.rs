@@ -41,7 +41,7 @@ impl Header {
         let found = bytes.len() - header.data_start;
         let mut extents = header.shape.iter();
         let needed = match header.shape.contains(&0) {
-            // The product of the other extents may exceed all numbers.
+            // An empty array has no bytes. The product of its other extents could overflow.
             true => Some(0),
             false => extents.try_fold(header.dtype.item_len(), |product, &extent| {
                 product.checked_mul(extent)

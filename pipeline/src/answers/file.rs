@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clip::{Rejected, rejected};
 use datasets_spec::{Fps, Skeleton};
-use formats::source::smpl::column;
+use formats::source::smpl::{column, frame_width};
 use formats::source::{amass, humanml3d};
 use glam::DQuat;
 use kinematics::motion::BODY_POSE_WIDTH;
@@ -94,10 +94,7 @@ fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
     };
     let mut frames = |key: &str, width: usize| -> Result<Vec<f64>, Rejected> {
         let array = archive.numbers(key)?;
-        let found = array.shape.get(1..).unwrap_or_default();
-        let mut extents = found.iter();
-        let product = extents.try_fold(1usize, |product, &extent| product.checked_mul(extent));
-        if found.is_empty() || product != Some(width) {
+        if frame_width(&array.shape) != Some(width) {
             return Err(rejected!(
                 "E-SMPL-SHAPE",
                 "found {key} of shape {:?}, expected frames by {width} numbers",

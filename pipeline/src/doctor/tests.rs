@@ -88,8 +88,7 @@ fn releases_tell_which_parts_are_there_and_pointers_are_counted() {
 
 #[test]
 fn the_real_files_are_all_counted_once() {
-    let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from) else {
-        skipped();
+    let Some(root) = testkit::test_data("") else {
         return;
     };
     let diagnosis = examined(&root, None);
@@ -105,12 +104,4 @@ fn the_real_files_are_all_counted_once() {
     assert_eq!(counts, (14_616, 1_191, 0));
     assert_eq!(index.subsets.len(), 17, "subsets with clips");
     assert!(index.subsets.iter().all(|subset| subset.archive.is_some()));
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder");
 }

@@ -243,8 +243,17 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
 
 /// Whether the captions of a layout are those of HumanML3D, whose words have tags of their part of speech.
 fn has_tags(layout: Layout) -> bool {
-    use Layout::{Babel272, HumanMl3d, HumanMl3d272, HyMotion};
-    matches!(layout, HumanMl3d | HumanMl3d272 | Babel272 | HyMotion)
+    match layout {
+        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => true,
+        Layout::Amass
+        | Layout::Bvh
+        | Layout::Gltf
+        | Layout::WebDataset
+        | Layout::Stance
+        | Layout::MotionMillion
+        | Layout::LeRobot
+        | Layout::MotionFix => false,
+    }
 }
 
 /// Number of captions without tokens, whose words get the tag `OTHER` in a layout with tags; 0 for other layouts.

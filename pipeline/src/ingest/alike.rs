@@ -190,7 +190,7 @@ const CLIPS_AT_ONCE: usize = 32;
 /// The motions that are compared.
 struct Motions<'a> {
     all: Vec<Numbers>,
-    /// Number of the motions that this run made; they are the first ones.
+    /// Number of motions that this run made. They come first in `all`.
     num_made: usize,
     /// Files of motions, by the numbers in [`Numbers::file`].
     paths: Vec<PathBuf>,

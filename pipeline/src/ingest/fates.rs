@@ -17,7 +17,7 @@ pub(super) enum Fate {
     /// The clip's source is not among those of this run, or cannot be read now.
     Elsewhere,
     Kept,
-    /// The clip is read again although its file is unchanged.
+    /// The file of the clip is unchanged, but something else that the clip is made of changed, such as a setting.
     ReadAgain,
     /// The clip is read again because its file changed.
     Changed,

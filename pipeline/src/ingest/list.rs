@@ -11,6 +11,7 @@ use datasets_spec::record::QuarantineRow;
 use datasets_spec::store::{ByPath, Store, is_url};
 use formats::sidecar::Sidecar;
 use formats::source::archive::{self, Archives};
+use formats::source::labels::names_in_folder;
 use formats::source::text_of_name;
 use formats::source::{Entry, read_head};
 use rayon::prelude::*;
@@ -164,12 +165,16 @@ impl Listed {
         }
     }
 
-    /// A file of this source that another source in the same folder, or in one below, lists too.
+    /// A file other than labels and licences that another source in the same folder, or in one below, lists too.
     pub(super) fn shared_with(&self, other: &Self) -> Option<String> {
         let below = other.folder.strip_prefix(&self.folder).ok()?;
         let below: Vec<String> = below.iter().map(text_of_name).collect();
         let below = below.join("/");
-        let mut files = other.listing.files.keys();
+        let is_label = |file: &str| {
+            let name = file.rsplit('/').next().unwrap_or(file);
+            names_in_folder().any(|label| label.eq_ignore_ascii_case(name))
+        };
+        let mut files = other.listing.files.keys().filter(|file| !is_label(file));
         let is_here = |file: &String| self.listing.files.contains_key(file);
         files.find_map(|file| Some(labelled(&below, file)).filter(is_here))
     }

@@ -237,7 +237,7 @@ pub(super) fn effective(
     (options, kept_seed.into_iter().chain(kept_by).collect())
 }
 
-/// A remark on splits that stay as they were drawn, if that was another way than the requested one; `way` says it in
+/// A remark if splits stay as they were drawn although another way of drawing them is asked for. `way` puts a way into
 /// words.
 fn kept_splits<T: PartialEq>(
     recorded: Option<T>,

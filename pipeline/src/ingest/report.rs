@@ -60,7 +60,7 @@ pub struct IngestReport {
     pub growth: Option<Growth>,
 }
 
-/// The report on a dataset with these rejected sources, without what only a run knows that wrote it.
+/// The report on a dataset and its rejected sources. What only a run knows, such as its growth, is left empty.
 pub(super) fn report_on(
     dataset: Dataset,
     plan: &Plan,

@@ -498,17 +498,21 @@ impl Run<'_> {
                 .map(|item| (item.entry.id.as_str(), item.id.as_str()))
                 .collect();
             let id = |old: &MotionId| MotionId::parse(ids.get(old.as_str())?).ok();
-            let now = |one: &RejectedMask| {
-                let (clip, one) = (id(&one.clip)?, one.clone());
-                Some(RejectedMask { clip, ..one })
+            let mask_now = |mask: &RejectedMask| {
+                Some(RejectedMask {
+                    clip: id(&mask.clip)?,
+                    ..mask.clone()
+                })
             };
-            let lists = of_masks.iter();
-            let lists = lists.map(|(by, list)| (by.clone(), list.iter().filter_map(now).collect()));
-            add_rejected(&mut masks, lists);
-            let now = |[source, target]: &[MotionId; 2]| Some([id(source)?, id(target)?]);
-            let lists = of_pairs.iter();
-            let lists = lists.map(|(by, list)| (by.clone(), list.iter().filter_map(now).collect()));
-            add_rejected(&mut pairs, lists);
+            let pair_now = |[source, target]: &[MotionId; 2]| Some([id(source)?, id(target)?]);
+            for (by, list) in of_masks {
+                let list = list.iter().filter_map(mask_now).collect();
+                add_rejected(&mut masks, [(by.clone(), list)]);
+            }
+            for (by, list) in of_pairs {
+                let list = list.iter().filter_map(pair_now).collect();
+                add_rejected(&mut pairs, [(by.clone(), list)]);
+            }
         }
         masks.retain(|_, list| !list.is_empty());
         pairs.retain(|_, list| !list.is_empty());

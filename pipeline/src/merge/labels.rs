@@ -146,6 +146,7 @@ pub(super) fn labels(
         .filter(|(_, count)| *count > 0)
         .map(|(table, count)| (table.to_owned(), count))
         .collect();
+    labels.renamed.retain(|_, renamed| !renamed.is_empty());
     Ok(labels)
 }
 

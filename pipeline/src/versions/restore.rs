@@ -99,8 +99,9 @@ pub fn restore(
     // What people accepted in the newest version was accepted after any rejection of it.
     let is_rejected = |pair: &PairRow| {
         let clips = |pair: &PairRow| [pair.source_id.clone(), pair.target_id.clone()];
-        let mut held = current.pairs.get(&pair.id).into_iter();
-        let is_accepted = held.any(|held| is_pair_judged(held) && clips(held) == clips(pair));
+        let held = current.pairs.get(&pair.id);
+        let is_accepted =
+            held.is_some_and(|held| is_pair_judged(held) && clips(held) == clips(pair));
         !is_accepted && rejected.contains(&clips(pair))
     };
     let rejected = labels.pairs.extract_if(.., |_, pair| is_rejected(pair));
@@ -206,11 +207,9 @@ impl Merge {
             .labels
             .masks
             .extract_if(.., |id, mask| is_left_out(id, mask));
-        // A mask of the same parts takes the place of an automatic one; nothing is lost then.
-        let parts = now
-            .masks
-            .values()
-            .map(|mask| (&mask.motion_id, mask.parts.as_slice()));
+        // A mask by people of the same parts takes the place of an automatic one; nothing is lost then.
+        let of_people = now.masks.values().filter(|mask| is_mask_of_people(mask));
+        let parts = of_people.map(|mask| (&mask.motion_id, mask.parts.as_slice()));
         let parts: BTreeSet<(&MotionId, &[String])> = parts.collect();
         let is_gone = |mask: &MaskRow| !parts.contains(&(&mask.motion_id, mask.parts.as_slice()));
         self.gave_way += left_out.filter(|(_, mask)| is_gone(mask)).count() as u64;

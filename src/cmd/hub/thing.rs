@@ -145,12 +145,6 @@ impl Thing {
                 "the repo holds version {newest}, and {shown} is version {version}; if it is to take its place: --delete {path}"
             );
         }
-        // Whoever deletes newer versions says that this dataset takes their place.
-        let is_over = is_over
-            || deleted
-                .iter()
-                .filter_map(|path| manifest_version(path))
-                .any(|old| old > version);
         let local = root.join(&path);
         match local.is_file() {
             _ if is_over => Ok(()),

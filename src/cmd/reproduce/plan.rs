@@ -492,12 +492,14 @@ impl Plan {
                     overlay(&TrainConfig::preset(self.preset), &sections["train"])?;
                 let mut shared = json!({ "window": train.window, "keypoints": train.keypoints });
                 // Settings of the preset are left out, so that trainings of former versions keep their names.
-                let (diffusion, of_preset) =
-                    (train.diffusion, CoordinatorConfig::preset(self.preset));
-                if diffusion.schedule != of_preset.schedule {
+                let diffusion = train.diffusion;
+                let of_preset = CoordinatorConfig::preset(self.preset);
+                let own = self.models.get(COORDINATOR);
+                let is_given = |key| own.is_some_and(|own| own.contains_key(key));
+                if is_given("schedule") || diffusion.schedule != of_preset.schedule {
                     shared["schedule"] = json!(diffusion.schedule);
                 }
-                if diffusion.num_steps != of_preset.diffusion_steps {
+                if is_given("diffusion_steps") || diffusion.num_steps != of_preset.diffusion_steps {
                     shared["diffusion_steps"] = json!(diffusion.num_steps);
                 }
                 let coordinator = self.training(COORDINATOR, shared, seed, global)?;

@@ -257,13 +257,15 @@ impl Reply {
 
 /// Answers requests on a port of this machine until the test process ends, and returns the address. Without a reply the
 /// connection is closed.
-pub(crate) fn serve(reply: impl Fn(&Request) -> Option<Reply> + Send + 'static) -> String {
+pub(crate) fn serve(reply: impl Fn(&Request) -> Option<Reply> + Send + Sync + 'static) -> String {
+    let reply = Arc::new(reply);
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = listener.local_addr().expect("bound");
     std::thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            // Ignore clients that hang up.
-            let _answered = answer(stream, &reply);
+            // Clients read several ranges at once.
+            let reply = Arc::clone(&reply);
+            std::thread::spawn(move || answer(stream, &*reply));
         }
     });
     format!("http://{address}")

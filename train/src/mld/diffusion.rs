@@ -97,7 +97,7 @@ pub fn train_mld<'a>(
     let texts = corpus.captions();
     let record = MldRecord {
         train: config.clone(),
-        text: TextRecord::chosen(&config.text, (start, None), texts, corpus.vectors)?,
+        text: TextRecord::chosen(&config.text, start, None, texts, corpus.vectors)?,
         autoencoder: autoencoder.hash.clone(),
         latent_std,
     };

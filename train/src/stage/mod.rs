@@ -1,10 +1,10 @@
 //! Stages of training, from a dataset folder to a run folder: open the dataset, assemble the training data, train.
 
 pub mod captioned;
-pub mod coordinator;
+pub(crate) mod coordinator;
 pub mod editor;
-pub mod encoder;
-pub mod poses;
+pub(crate) mod encoder;
+pub(crate) mod poses;
 pub mod texts;
 pub mod variants;
 

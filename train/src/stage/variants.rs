@@ -261,6 +261,7 @@ pub fn pair_variants(
     let motions = dataset.manifest().plan(MotionRow::TABLE);
     let plan = match dataset.condition() {
         None => plan_hash("variants-1", &(motions, config)),
+        // One condition chooses other clips once masks or pairs have changed.
         Some(_) => {
             let chosen = dataset.content_hash(&[MotionRow::TABLE]);
             plan_hash("variants-1", &(chosen, config))

@@ -59,6 +59,7 @@ pub(super) enum Activation {
 /// Sizes of a network from its `config.json`, whose fields the two kinds name differently.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub(super) struct BertConfig {
+    /// Set from `model_type` by [`BertConfig::parse`].
     #[serde(skip)]
     kind: BertKind,
     #[serde(rename = "vocab_size")]
@@ -77,6 +78,7 @@ pub(super) struct BertConfig {
     pub(super) num_heads: usize,
     #[serde(rename = "intermediate_size", alias = "hidden_dim")]
     feed_forward: usize,
+    /// Name of the activation in the file, from which `activation` is set.
     #[serde(alias = "activation")]
     hidden_act: String,
     #[serde(skip)]
@@ -84,6 +86,7 @@ pub(super) struct BertConfig {
     /// Added to the variance in layer norms.
     #[serde(rename = "layer_norm_eps", default = "tiny_epsilon")]
     pub(super) norm_epsilon: f64,
+    /// Only `absolute` is accepted.
     position_embedding_type: Option<String>,
 }
 

@@ -115,7 +115,7 @@ impl Package {
         file.sync_all().map_err(Error::io("sync", to))
     }
 
-    /// A file, and its path in errors.
+    /// Opens a file. Also returns the path that errors name.
     fn file(&mut self, name: &str) -> Result<(Box<dyn Read + '_>, PathBuf), Error> {
         match self {
             Self::Folder(folder) => {

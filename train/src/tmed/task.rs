@@ -90,8 +90,8 @@ pub fn train_tmed<'a>(
         None => statistics_of(&corpus, config)?,
     };
     let instructions = corpus.instructions.iter().map(String::as_str);
-    let known = (start, known_text);
-    let text = TextRecord::chosen(&config.text, known, instructions, corpus.vectors)?;
+    let vectors = corpus.vectors;
+    let text = TextRecord::chosen(&config.text, start, known_text, instructions, vectors)?;
     let record = TmedRecord {
         train: config.clone(),
         statistics,

@@ -43,7 +43,7 @@ pub fn train_tmr<'a>(
     config.check()?;
     let start = start.into();
     let fitted: Option<TmrRecord> = start.fitted(KIND)?;
-    let (vocabulary, features) = taken_over((start, fitted), config, &corpus)?;
+    let (vocabulary, features) = taken_over(start, fitted, config, &corpus)?;
     let prepared = |split, what| clips(split, what, &vocabulary, config);
     let train = prepared(corpus.train, "training split of the encoder")?;
     let val = prepared(corpus.val, "validation split of the encoder")?;
@@ -93,7 +93,8 @@ pub fn train_tmr<'a>(
 /// The vocabulary and the feature statistics of the run whose weights are taken over. Without such a run, the words of
 /// the captions, and no statistics yet.
 fn taken_over(
-    (start, fitted): (Start<'_>, Option<TmrRecord>),
+    start: Start<'_>,
+    fitted: Option<TmrRecord>,
     config: &TmrConfig,
     corpus: &CaptionedCorpus<'_>,
 ) -> Result<(Vocabulary, Option<FeatureStats>), Error> {

@@ -83,8 +83,8 @@ pub fn on<T>(
     })
 }
 
-/// Runs `act` in a session that is stopped after a number of steps. Steps of earlier sessions count, because a session
-/// first reports them.
+/// Runs `act` in a session that is stopped after a number of steps. Steps of earlier sessions count: a session begins
+/// by reporting them.
 pub fn stopped_after<T>(steps: u64, device: &Device, act: impl FnOnce(&Session<'_>) -> T) -> T {
     let stop = AtomicBool::new(false);
     let progress = StopAfter {

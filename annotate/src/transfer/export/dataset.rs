@@ -3,7 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
-use datasets_spec::manifest::{REJECTED_MASKS_FACT, REJECTED_PAIRS_FACT, RejectedPairs};
+use datasets_spec::manifest::{
+    ANNOTATE_KNOWN_FACT, ANNOTATE_SEQ_FACT, ANNOTATE_STORE_FACT, REJECTED_MASKS_FACT,
+    REJECTED_PAIRS_FACT, RejectedPairs,
+};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::rejected::{MaskPlace, RejectedMask, RejectedMasks};
 use datasets_spec::table::{Row, read_column};
@@ -18,9 +21,6 @@ use crate::store::AcceptedAnswer;
 use crate::transfer::keys::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
 use crate::wire::{Answer, Extent, TaskKind};
 
-/// Facts of the manifest that name the store and the point in its log that the tables were exported from.
-const STORE_FACT: &str = "annotate_store";
-const SEQ_FACT: &str = "annotate_seq";
 /// Fact of the manifest with the splits that this store has exported, separated by spaces; missing or empty for all.
 const SPLITS_FACT: &str = "annotate_splits";
 
@@ -91,9 +91,12 @@ impl Exporter<'_> {
             (PairRow::TABLE.to_owned(), pairs),
         ]);
         let mut facts = BTreeMap::from([
-            (STORE_FACT.to_owned(), self.done.store.clone()),
-            (SEQ_FACT.to_owned(), self.done.seq.to_string()),
+            (ANNOTATE_STORE_FACT.to_owned(), self.done.store.clone()),
+            (ANNOTATE_SEQ_FACT.to_owned(), self.done.seq.to_string()),
         ]);
+        if manifest.facts.contains_key(ANNOTATE_KNOWN_FACT) {
+            facts.insert(ANNOTATE_KNOWN_FACT.to_owned(), self.done.seq.to_string());
+        }
         if !is_recorded {
             let rejected = serde_json::to_string(&rejected).expect("texts serialise");
             facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
@@ -117,7 +120,7 @@ impl Exporter<'_> {
     /// The splits of this export and of those of this store before it, back to the last export of another store; empty
     /// for all splits.
     fn written_splits(&self, facts: &BTreeMap<String, String>) -> String {
-        let is_own = facts.get(STORE_FACT) == Some(&self.done.store);
+        let is_own = facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
         let before = facts.get(SPLITS_FACT).map_or("", String::as_str);
         if self.splits.is_empty() || (is_own && before.is_empty()) {
             return String::new();
@@ -208,11 +211,10 @@ impl Exporter<'_> {
         described: &mut Described,
     ) -> Result<(), Error> {
         let manifest = dataset.manifest();
-        let is_last = manifest.facts.get(STORE_FACT) == Some(&self.done.store);
-        let last: Option<i64> = manifest
-            .facts
-            .get(SEQ_FACT)
-            .and_then(|seq| seq.parse().ok());
+        let is_last = manifest.facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
+        let known = manifest.facts.get(ANNOTATE_KNOWN_FACT);
+        let known = known.or(manifest.facts.get(ANNOTATE_SEQ_FACT));
+        let last: Option<i64> = known.and_then(|seq| seq.parse().ok());
         let Some(last) = last.filter(|_| is_last) else {
             return Ok(());
         };
@@ -255,7 +257,7 @@ impl Exporter<'_> {
     fn unjudged(&mut self, dataset: &Dataset, judged: &Judged) -> Result<Vec<PairRow>, Error> {
         let mut pairs: Vec<PairRow> = dataset.read(None)?;
         // After an export of this store, what people accepted was accepted here.
-        let is_own = dataset.manifest().facts.get(STORE_FACT) == Some(&self.done.store);
+        let is_own = dataset.manifest().facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
         let (mut replaced, mut contradicted) = (0, 0);
         pairs.retain(|pair| match judged.get(&pair.id) {
             None => true,
@@ -366,8 +368,8 @@ impl Exporter<'_> {
         pairs: &mut Vec<PairRow>,
     ) -> Result<(), Error> {
         let facts = &dataset.manifest().facts;
-        let is_last = facts.get(STORE_FACT) == Some(&self.done.store);
-        let seq = facts.get(SEQ_FACT).filter(|_| is_last);
+        let is_last = facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
+        let seq = facts.get(ANNOTATE_SEQ_FACT).filter(|_| is_last);
         let seq = seq.and_then(|seq| seq.parse().ok());
         let reopened = self.store.reopened(seq.unwrap_or(i64::MAX))?;
         let splits = facts.get(SPLITS_FACT).filter(|splits| !splits.is_empty());

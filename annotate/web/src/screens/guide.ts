@@ -31,7 +31,7 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
     draw();
   };
   const open = (section: HTMLElement, of: TaskKind | null, title: string, start: KindGuide, save: (change: GuideChange) => Promise<unknown>): void => {
-    const editor = new GuideEditor(app, of, title, start, (change) => save(change).then(reload), () => void reload());
+    const editor = new GuideEditor(app, of, title, start, (change) => save(change).then(reload), reload);
     fill(section, editor);
   };
   const editKind = (): void =>
@@ -50,11 +50,14 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 
 /** Text and pictures of a guide, with a preview. Unsaved text is kept in the browser. */
 class GuideEditor extends Component {
-  /** The guide as it was when its editing began, which may have been before the page was opened. */
+  /**
+   * The guide as it was when its editing began, which may have been before the page was opened, or as somebody else
+   * saved it since.
+   */
   private base: KindGuide;
   private guide: KindGuide;
-  /** Text that somebody else saved meanwhile. */
-  private theirs: string | null = null;
+  /** The guide that somebody else saved meanwhile. */
+  private theirs: KindGuide | null = null;
   private readonly kept: string;
   /**
    * Names of the pictures that the guide had or that were uploaded. Those that no guide shows after saving are
@@ -69,7 +72,7 @@ class GuideEditor extends Component {
     private readonly heading: string,
     start: KindGuide,
     private readonly save: (change: GuideChange) => Promise<void>,
-    private readonly close: () => void,
+    private readonly close: () => Promise<void>,
   ) {
     super();
     this.classList.add("guide-editor");
@@ -108,7 +111,7 @@ class GuideEditor extends Component {
         <div>
           <label class="field">Text<textarea rows="14" .value=${live(text)} @input=${(event: Event) => this.change({ text: valueOf(event) })}></textarea></label>
           <p class="note">${how}</p>
-          ${this.theirs === null ? nothing : html`<h3>Saved by somebody else</h3><div class="box">${formatGuide(this.theirs)}</div>`}
+          ${this.theirs === null ? nothing : html`<h3>Saved by somebody else</h3><div class="box">${formatGuide(this.theirs.text)}<div class="examples grid">${this.theirs.pictures.map(pictureFigure)}</div></div>`}
           ${this.kind === null ? nothing : more}
         </div>
         <div>
@@ -153,9 +156,10 @@ class GuideEditor extends Component {
       if (!(error instanceof ApiError) || error.code !== "setting_changed") throw error;
       const { text, kinds } = await this.app.api.get<Guide>("guide");
       this.base = this.kind === null ? { text, pictures: [] } : (kinds[this.kind] ?? { text: "", pictures: [] });
-      this.theirs = this.base.text;
+      this.theirs = this.base;
+      for (const { name } of this.base.pictures) this.touched.add(name);
       this.change({});
-      throw new Error("somebody saved this guide meanwhile; their text is below yours, and saving again replaces it");
+      throw new Error("somebody saved this guide meanwhile; their guide is below your text, and saving again replaces it");
     }
     localStorage.removeItem(this.kept);
     this.app.toasts.show("The guide is saved.");
@@ -164,7 +168,7 @@ class GuideEditor extends Component {
 
   private async cancel(): Promise<void> {
     localStorage.removeItem(this.kept);
-    this.close();
+    await this.close();
     await this.sweep();
   }
 

@@ -327,15 +327,14 @@ impl Stream {
         edited: &mut [f32],
     ) -> Result<(), Error> {
         let [first, second, third] = rooms;
-        let [edited_parts, under_parts] = match drawn.plan {
+        let [edited_parts, mut under_parts] = match drawn.plan {
             None => [PARTS_OF_ORIGINAL; 2],
             Some(plan) => [Origin::Target, Origin::Source].map(|of| plan.parts_of(of)),
         };
-        // A semantic edit has the partner's window as its original.
-        let under_parts = match drawn.before {
-            None => both_parts(under_parts, PARTS_OF_ORIGINAL),
-            Some(_) => under_parts,
-        };
+        if drawn.before.is_none() {
+            // A semantic edit has the partner's window as its original.
+            under_parts = both_parts(under_parts, PARTS_OF_ORIGINAL);
+        }
         let read = |at: Option<WindowPlace>, parts, room| {
             at.map(|at| self.window_of(at, parts, room)).transpose()
         };

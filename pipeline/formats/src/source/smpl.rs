@@ -106,17 +106,18 @@ impl Parameters {
     }
 }
 
+/// Numbers per frame of an array whose first dimension counts frames; `None` if it has no other dimension, or too many
+/// numbers.
+pub fn frame_width(shape: &[usize]) -> Option<usize> {
+    let mut extents = shape.get(1..).filter(|extents| !extents.is_empty())?.iter();
+    extents.try_fold(1usize, |product, &extent| product.checked_mul(extent))
+}
+
 /// The array `key` of a dictionary, whose first dimension counts frames; the others hold `D` numbers per frame.
 pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
     let found = value.get(key).unwrap_or(&Value::None);
-    let array = found.as_array().filter(|array| {
-        let frame = array.shape().get(1..).filter(|extents| !extents.is_empty());
-        let width = frame.and_then(|extents| {
-            let mut extents = extents.iter();
-            extents.try_fold(1usize, |product, &extent| product.checked_mul(extent))
-        });
-        width == Some(D)
-    });
+    let array = found.as_array();
+    let array = array.filter(|array| frame_width(array.shape()) == Some(D));
     let numbers = array.and_then(Array::to_f32).ok_or_else(|| {
         rejected!(
             "E-SMPL-SHAPE",

@@ -75,6 +75,7 @@ impl FromStr for Up {
 
 impl fmt::Display for Up {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // A formatter is a serialiser of variants without fields: it writes the name that serde has.
         self.serialize(f)
     }
 }

@@ -38,22 +38,12 @@ impl Budget {
         most.saturating_sub(self.bytes)
     }
 
-    /// Counts a member and its bytes.
+    /// Checks the number of members.
     ///
     /// # Errors
-    /// The member exceeds a limit, which the error names.
-    pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
-        self.take_member()?;
-        self.take_bytes(bytes)
-    }
-
-    /// Counts a member, of which nothing may be read.
-    ///
-    /// # Errors
-    /// There are too many members.
-    pub(super) fn take_member(&mut self) -> Result<(), String> {
-        self.members += 1;
-        if self.members > self.max_members {
+    /// There are too many.
+    pub(super) fn allow(&self, members: u64) -> Result<(), String> {
+        if members > self.max_members {
             return Err(format!(
                 "the archive has more than {} members; unpack it and name the folder",
                 self.max_members
@@ -62,11 +52,13 @@ impl Budget {
         Ok(())
     }
 
-    /// Counts the bytes of a member.
+    /// Counts a member and its bytes.
     ///
     /// # Errors
-    /// The members have too many bytes.
-    pub(super) fn take_bytes(&mut self, bytes: u64) -> Result<(), String> {
+    /// The member exceeds a limit, which the error names.
+    pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
+        self.members += 1;
+        self.allow(self.members)?;
         if bytes > self.bytes_left() {
             return Err(format!(
                 "{} bytes unpack to more than {} bytes: the limits are {} times the size of the archive and {} bytes; \

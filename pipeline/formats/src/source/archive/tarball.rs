@@ -126,7 +126,7 @@ pub(super) fn unpack(
         Ok(packed) => packed,
         Err(error) => return Ok(Err(unreadable(&error))),
     };
-    let (place, is_exceeded, is_at_end) = <(Cell<u64>, Cell<bool>, Cell<bool>)>::default();
+    let (place, is_exceeded, is_at_end) = (Cell::new(0), Cell::new(false), Cell::new(false));
     let packed = Counting {
         inner: packed,
         count: &place,

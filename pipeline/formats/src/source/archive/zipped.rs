@@ -22,6 +22,9 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
         )
         .at(size as usize)
     })?;
+    // Also those that are not read: each takes memory.
+    let members = budget.allow(zip.len() as u64);
+    members.map_err(|reason| too_large(reason, size))?;
     let mut content = Content::default();
     if zip.has_duplicate_names() {
         let reason = "the archive has several members of one name; the last one of each is read";
@@ -35,8 +38,6 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         }
         let at = entry.header_start();
-        let counted = budget.take_member();
-        counted.map_err(|reason| too_large(reason, at))?;
         let name = entry.name();
         let raw = name
             .as_ref()
@@ -71,8 +72,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         }
         let size = entry.size();
-        let counted = budget.take_bytes(size);
-        counted.map_err(|reason| too_large(reason, at))?;
+        budget.take(size).map_err(|reason| too_large(reason, at))?;
         content.add(name, Member::Zipped { number, size });
     }
     content.read_from = Some(ReadFrom::Zip(file, zip));

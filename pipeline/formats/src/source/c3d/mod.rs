@@ -84,7 +84,7 @@ struct Header {
 
 impl Header {
     fn read(bytes: &[u8], processor: Processor) -> Self {
-        // Words are counted from one; a real number takes two.
+        // Words are counted from one; a real number takes two, of which the first is odd.
         let word = |number: usize| processor.u16(bytes.as_chunks().0[number - 1]);
         let real = |number: usize| processor.f32(bytes.as_chunks().0[(number - 1) / 2]);
         let (first, last) = (usize::from(word(4)), usize::from(word(5)));
@@ -145,7 +145,7 @@ impl Layout {
             let reason = format!("found {found} frames a second, expected a rate");
             header_error(20, reason)
         })?;
-        let start = data_start(bytes, header, parameters)?;
+        let start = data_start(bytes, header, parameters, &mut notes)?;
         let value_size = if scale < 0.0 { 4 } else { 2 };
         let frame_size = (4 * points + header.analog_per_frame) * value_size;
         let room = (bytes.len() - start) / frame_size;
@@ -257,7 +257,8 @@ struct Point {
 }
 
 impl Point {
-    /// Reads a point of four numbers: real ones if the scale is negative, else whole ones, whose unit is the scale.
+    /// Reads a point: three coordinates and its residual. They are real numbers if the scale is negative, otherwise
+    /// integers in units of the scale.
     fn read(bytes: &[u8], processor: Processor, scale: f64) -> Self {
         let is_real = scale < 0.0;
         let value = |index: usize| match is_real {
@@ -282,11 +283,12 @@ impl Point {
     }
 }
 
-/// Byte offset of the frames: where the parameter says, or the header if the parameter leads nowhere.
+/// Byte offset of the frames. `POINT:DATA_START` states it. If that names no block where frames can be, the header does.
 fn data_start(
     bytes: &[u8],
     header: &Header,
     parameters: &Parameters<'_>,
+    notes: &mut Vec<String>,
 ) -> Result<usize, Rejected> {
     let by_header = Some(header.data_block).filter(|block| *block > 0);
     let by_parameter = parameters.count("POINT", "DATA_START");
@@ -305,6 +307,11 @@ fn data_start(
         )
         .at(bytes.len())
     })?;
+    if let Some(other) = by_header.filter(|other| *other != block && in_file(other)) {
+        notes.push(format!(
+            "the frames begin in block {block}, as POINT:DATA_START says; the header says {other}"
+        ));
+    }
     Ok((block - 1) * BLOCK)
 }
 

@@ -260,9 +260,8 @@ fn value<'a>(cursor: &mut Cursor<'a>) -> Result<Value<'a>, Rejected> {
     let kind_at = cursor.at;
     let kind = cursor.byte()? as i8;
     let num_axes = cursor.byte()?;
-    let axes = cursor.take(num_axes.into())?.iter();
-    let mut axes = axes.map(|axis| usize::from(*axis)).peekable();
-    let width = axes.peek().copied().unwrap_or(1);
+    let axes = cursor.take(num_axes.into())?;
+    let width = axes.first().map_or(1, |axis| usize::from(*axis));
     let size = match kind {
         -1 | 1 => 1,
         2 => 2,
@@ -275,6 +274,7 @@ fn value<'a>(cursor: &mut Cursor<'a>) -> Result<Value<'a>, Rejected> {
             .at(kind_at));
         }
     };
-    let length = axes.try_fold(size, usize::checked_mul);
+    let mut extents = axes.iter().map(|axis| usize::from(*axis));
+    let length = extents.try_fold(size, usize::checked_mul);
     Ok((kind, width, cursor.take(length.unwrap_or(usize::MAX))?))
 }

@@ -164,9 +164,14 @@ fn the_frames_are_where_the_parameter_says_and_else_where_the_header_does() {
         let mut bytes = good.clone();
         bytes[end..end + start.len()].copy_from_slice(&start);
         bytes[16..18].copy_from_slice(&u16::to_le_bytes(by_header));
-        let markers = captured(&bytes).markers;
+        let found = captured(&bytes);
         let case = (by_parameter, by_header);
-        assert_eq!(markers, captured(&good).markers, "{case:?}");
+        assert_eq!(found.markers, captured(&good).markers, "{case:?}");
+        let is_noted = found
+            .notes
+            .iter()
+            .any(|note| note.contains("the header says 2"));
+        assert_eq!(is_noted, by_header == 2, "{case:?}");
     }
     let mut nowhere = good.clone();
     nowhere[16..18].copy_from_slice(&[9, 0]);

@@ -8,6 +8,9 @@ use super::container::{Buffer, buffer_bytes, chunks, little_endian, part};
 use crate::source::names::unique_keys;
 use clip::{Rejected, rejected};
 
+/// Code of a skeleton that is no body.
+pub(super) const NO_BODY: &str = "E-GLTF-SKELETON";
+
 pub(super) struct Document<'a> {
     pub root: json::Root,
     buffers: Vec<Buffer<'a>>,

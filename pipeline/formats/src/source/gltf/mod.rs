@@ -13,7 +13,7 @@ mod skeleton;
 mod tests;
 
 use container::MAGIC;
-use document::Document;
+use document::{Document, NO_BODY};
 use gltf::json;
 use nodes::Tree;
 use performance::Performance;
@@ -24,8 +24,8 @@ use super::options::ReadOptions;
 use crate::retarget;
 use clip::{Outcome, Rejected, rejected};
 
-/// Unique names of the motions in a file; empty if there is none or the file is broken. A motion is
-/// named after its animation. If the animation moves several bodies, the motions after the first have a number too.
+/// Unique names of the motions in a file; empty if there is none or the file is broken. Each has
+/// the name of its animation. If an animation moves several bodies, a number follows the name from the second on.
 pub fn keys(bytes: &[u8]) -> Vec<String> {
     let keys = || -> Result<Vec<String>, Rejected> {
         let document = Document::parse(bytes)?;
@@ -36,9 +36,6 @@ pub fn keys(bytes: &[u8]) -> Vec<String> {
     };
     keys().unwrap_or_default()
 }
-
-/// Code of a skeleton that is no body.
-const NO_BODY: &str = "E-GLTF-SKELETON";
 
 /// An animation of one body.
 struct OfBody<'a> {
@@ -109,16 +106,14 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
         )
     })?;
     let skins = skins.of_body(*main);
-    let prop = "the animation moves no body with this skin, such as a prop";
-    let skeleton = match Skeleton::read(&document, &tree, &skins) {
-        Err(rejected) if *number > 0 && rejected.code == NO_BODY => return no_motion(prop),
-        read => read?,
-    };
+    let skeleton = Skeleton::read(&document, &tree, &skins)?;
     let Some(performance) = Performance::of(&skeleton, &document, animation)? else {
         return no_motion("the animation moves no joint of the skin");
     };
     let mut clip = match retarget::clip(&performance, options) {
-        Err(rejected) if *number > 0 && rejected.code == NO_BODY => return no_motion(prop),
+        Err(rejected) if *number > 0 && rejected.code == NO_BODY => {
+            return no_motion("the animation moves no body with this skin, such as a prop");
+        }
         read => read?,
     };
     clip.notes.push(format!("animation {name}"));

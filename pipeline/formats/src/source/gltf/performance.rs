@@ -9,7 +9,7 @@ use gltf::json::animation::Property;
 use gltf::json::validation::Checked;
 
 use super::curve::{Curve, Curves, Grid, ON_GRID};
-use super::document::{Document, accessor_error, limit};
+use super::document::{Document, NO_BODY, accessor_error, limit};
 use super::nodes::{Local, World};
 use super::skeleton::Skeleton;
 use crate::retarget::{Bone, Placed, Rest, Rig};
@@ -109,7 +109,7 @@ impl<'a> Performance<'a> {
 
 impl Rig for Performance<'_> {
     fn skeleton_code(&self) -> &'static str {
-        "E-GLTF-SKELETON"
+        NO_BODY
     }
 
     fn bones(&self) -> Vec<Bone<'_>> {

@@ -7,7 +7,7 @@ use glam::{DMat3, DMat4, DQuat, DVec3};
 use gltf::json;
 use gltf::json::accessor::Type;
 
-use super::document::{Document, accessor_error, limit};
+use super::document::{Document, NO_BODY, accessor_error, limit};
 use super::nodes::{Local, Tree, World};
 use crate::retarget::{Placed, with_ancestors};
 use clip::{Rejected, rejected};
@@ -91,7 +91,8 @@ impl<'a> Skins<'a> {
         body.map(|skin| &self.skins[skin]).collect()
     }
 
-    /// The skins of a body: `main`, then always the first of the file that belongs to one before it.
+    /// The skins of a body. `main` comes first; the next is always the first skin of the file that is connected to one
+    /// found before.
     fn search(&self, main: usize, seen: &mut Seen) -> Vec<usize> {
         let mut body = Vec::new();
         let mut next = BTreeSet::from([main]);
@@ -168,7 +169,7 @@ impl Skeleton {
         }
         if let Some(bone) = locals.iter().position(Local::mirrors) {
             return Err(rejected!(
-                "E-GLTF-SKELETON",
+                NO_BODY,
                 "the scale of node {} is negative, which mirrors the body: apply the scale in the program that wrote the \
                  file",
                 order[bone]

@@ -11,7 +11,7 @@ use testkit::walk;
 use super::container::chunks;
 use super::curve::{Curve, DEFAULT_FPS};
 use super::*;
-use crate::source::release_tests::{assert_notes, assert_says, edited};
+use crate::source::release_tests::{assert_notes, assert_refused, assert_says, edited};
 use crate::write;
 use clip::SourceClip;
 
@@ -255,37 +255,44 @@ fn a_body_is_read_whole_whatever_its_skins_are() {
     assert_notes(&beside_rope, said);
 }
 
+/// Adds a copy of the walking body, so that a second person walks alike. Returns its first node.
+fn add_person(json: &mut Value) -> usize {
+    let nodes = list(&mut json["nodes"]);
+    let first = nodes.len();
+    let moved = |node: &Value| json!(node.as_u64().expect("a node") as usize + first);
+    let mut copies = nodes.clone();
+    for copy in &mut copies {
+        for child in copy["children"].as_array_mut().into_iter().flatten() {
+            *child = moved(child);
+        }
+    }
+    nodes.extend(copies);
+    let mut skin = json["skins"][0].clone();
+    for joint in list(&mut skin["joints"]) {
+        *joint = moved(joint);
+    }
+    list(&mut json["skins"]).push(skin);
+    let channels = list(&mut json["animations"][0]["channels"]);
+    let mut second = channels.clone();
+    for channel in &mut second {
+        channel["target"]["node"] = moved(&channel["target"]["node"]);
+    }
+    channels.extend(second);
+    first
+}
+
 #[test]
 fn two_people_of_one_animation_are_two_motions_and_a_prop_is_none() {
     let plain = clip_of(&Parts::walking().embedded());
-    // A copy of the nodes and the channels: the same walk by a second person.
     let people = Parts::walking().with(|json| {
-        let body = 22;
+        add_person(json);
         let nodes = list(&mut json["nodes"]);
-        let first = nodes.len();
-        let mut copies: Vec<Value> = nodes[..body].to_vec();
-        for copy in &mut copies {
-            for child in copy["children"].as_array_mut().into_iter().flatten() {
-                *child = json!(child.as_u64().expect("a node") as usize + first);
-            }
-        }
-        nodes.extend(copies);
+        let prop = nodes.len();
         nodes.push(json!({ "translation": [0.0, 1.0, 0.0] }));
-        let mut skin = json["skins"][0].clone();
-        for joint in list(&mut skin["joints"]) {
-            *joint = json!(joint.as_u64().expect("a node") as usize + first);
-        }
-        let prop = first + body;
-        list(&mut json["skins"]).extend([skin, json!({ "joints": [prop] })]);
+        list(&mut json["skins"]).push(json!({ "joints": [prop] }));
         let channels = list(&mut json["animations"][0]["channels"]);
-        let mut second = channels.clone();
-        for channel in &mut second {
-            let node = channel["target"]["node"].as_u64().expect("a node") as usize;
-            channel["target"]["node"] = json!(node + first);
-        }
-        let mut of_prop = second[0].clone();
+        let mut of_prop = channels[0].clone();
         of_prop["target"]["node"] = json!(prop);
-        channels.extend(second);
         channels.push(of_prop);
     });
     let bytes = people.embedded();
@@ -308,6 +315,19 @@ fn two_people_of_one_animation_are_two_motions_and_a_prop_is_none() {
         matches!(of_prop, Ok(Outcome::Skipped { .. })),
         "{of_prop:?}"
     );
+}
+
+#[test]
+fn a_second_body_that_is_mirrored_is_refused_and_not_taken_for_a_prop() {
+    let people = Parts::walking().with(|json| {
+        let first = add_person(json);
+        let mirror = json!({ "scale": [-1.0, 1.0, 1.0], "children": [first] });
+        list(&mut json["nodes"]).push(mirror);
+    });
+    let bytes = people.embedded();
+    let read = read(&bytes, &keys(&bytes)[1], &ReadOptions::default());
+    let rejected = read.expect_err("a mirrored body");
+    assert_refused(&rejected, "E-GLTF-SKELETON", "mirrors the body");
 }
 
 #[test]

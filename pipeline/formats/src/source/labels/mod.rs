@@ -57,8 +57,9 @@ pub fn attach(
         take_captions(&mut clip, captions);
     }
     // A file of rotations does not say how these were made; the sidecar of an export does.
-    if let Some(source) = &sidecar.rotation_source {
-        clip.rotation_source = RotationSource::of_name(source).unwrap_or_default();
+    let source = sidecar.rotation_source.as_deref();
+    if let Some(source) = source.and_then(RotationSource::of_name) {
+        clip.rotation_source = source;
         clip.fit_error_m = sidecar.fit_error_m;
     }
     state(&mut clip, sidecar, around);
@@ -252,8 +253,8 @@ impl Sidecar {
                 "rotation_source {name:?} is none of native, retargeted and fitted"
             ));
         }
-        let is_error = |error: &f32| error.is_finite() && *error >= 0.0;
-        if let Some(error) = self.fit_error_m.take_if(|error| !is_error(error)) {
+        let is_distance = |error: &f32| error.is_finite() && *error >= 0.0;
+        if let Some(error) = self.fit_error_m.take_if(|error| !is_distance(error)) {
             report(format!("fit_error_m {error} is no distance"));
         }
         for label in self.names() {
@@ -381,6 +382,27 @@ mod tests {
         let clip = labelled(path, &beside, &ClipLabels::default());
         assert_eq!(clip.action.as_deref(), Some("walk"));
         assert!(clip.notes[0].contains("dataset-1_run"), "{:?}", clip.notes);
+    }
+
+    #[test]
+    fn a_sidecar_states_how_rotations_were_made_and_nothing_unknown() {
+        let read = |json: &'static str| {
+            let beside =
+                |name: &str| (name == "clip.stance.json").then(|| json.as_bytes().to_vec());
+            labelled("clip.bvh", &beside, &ClipLabels::default())
+        };
+        let stated = read(r#"{"rotation_source": "fitted", "fit_error_m": 0.25}"#);
+        assert_eq!(stated.rotation_source, RotationSource::Fitted);
+        assert_eq!(stated.fit_error_m, Some(0.25));
+        let unknown = read(r#"{"rotation_source": "made up", "fit_error_m": -1}"#);
+        assert_eq!(unknown.rotation_source, RotationSource::Native);
+        assert_eq!(unknown.fit_error_m, None);
+        assert_eq!(
+            unknown.label_problems.len(),
+            2,
+            "{:?}",
+            unknown.label_problems
+        );
     }
 
     #[test]
