@@ -1,10 +1,24 @@
-//! The test set that comes with the program.
+//! Sets of test items without their motions: what draws the same items again from the same dataset.
 //!
-//! It is not stored: corpus, dataset and items follow from seed 0, and its digest is a constant below.
+//! `stance items` writes one beside the items, so that people can ask the same questions of motions that nobody may pass on.
+//! One comes with the program; its corpus and dataset follow from seed 0 as well.
 
-use compose::{ItemConfig, ItemCount, Novelty};
+use std::path::Path;
+
+use anyhow::{Context, bail};
+use compose::{COMPOSED, ItemConfig, ItemCount, Novelty};
 use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
-use datasets_spec::Seed;
+use datasets_spec::store::replace_file;
+use datasets_spec::{Seed, Split};
+use pipeline::stage::ItemsFolder;
+use serde::{Deserialize, Serialize};
+
+use crate::chosen::ChosenArgs;
+use crate::global::Global;
+use crate::{local, stages};
+
+/// File beside items that holds their set.
+const FILE: &str = "set.json";
 
 /// Name of the set: questions on the built-in corpus, a third of each novelty that [`items`] lists.
 pub(crate) const BUILTIN_1: &str = "builtin-1";
@@ -15,6 +29,76 @@ const PART: usize = 150;
 const DIGEST: &str = "099accb8ce2b9bbe74622c0a5611bf21";
 /// Adjusted clips per neutral clip, which make the fine-grained pairs.
 pub(crate) const ADJUSTED: usize = 2;
+
+/// A set of test items.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TestSet {
+    pub(crate) split: Split,
+    pub(crate) seed: Seed,
+    /// Condition on the clips that are asked about.
+    #[serde(rename = "where")]
+    pub(crate) condition: Option<String>,
+    /// Hash of the files from which the items were drawn: the chosen motions, masks and pairs of a dataset.
+    pub(crate) content: Option<String>,
+    pub(crate) items: ItemConfig,
+}
+
+impl TestSet {
+    /// The set [`BUILTIN_1`].
+    pub(crate) fn builtin_1() -> Self {
+        Self {
+            split: Split::Test,
+            seed: Seed(0),
+            condition: None,
+            content: None,
+            items: items(Seed(0), true),
+        }
+    }
+
+    pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
+        let set: Self = local::read_json(path, "is no set of test items")?;
+        if set.items.digest.is_none() {
+            bail!(
+                "{} does not state the digest of its items, by which others would be noticed",
+                path.display()
+            );
+        }
+        Ok(set)
+    }
+
+    /// Draws the items from a dataset.
+    pub(crate) fn draw(
+        &mut self,
+        dataset: &Path,
+        out: &Path,
+        global: &Global,
+    ) -> anyhow::Result<ItemsFolder> {
+        let condition = self.condition.as_deref().map(str::parse).transpose()?;
+        let opened = ChosenArgs { condition }.open(dataset)?;
+        let content = opened.content_hash(&COMPOSED);
+        let drawn = stages::items(&opened, out, self.split, &self.items, self.seed, global);
+        let drawn = drawn.with_context(|| match &self.content {
+            Some(expected) if *expected != content => format!(
+                "the set is of other files of motions, masks or pairs ({expected:.12}) than those of {} ({content:.12})",
+                dataset.display()
+            ),
+            _ => "cannot draw items".to_owned(),
+        })?;
+        self.content = Some(content);
+        Ok(drawn)
+    }
+
+    /// Writes the set beside its items, whose ids have this digest.
+    pub(crate) fn write(mut self, items: &Path, digest: &str) -> anyhow::Result<()> {
+        self.items.digest.get_or_insert_with(|| digest.to_owned());
+        let mut text = serde_json::to_string_pretty(&self)?;
+        text.push('\n');
+        let path = items.join(FILE);
+        replace_file(&path, text.as_bytes())
+            .with_context(|| format!("cannot write {}", path.display()))
+    }
+}
 
 pub(crate) fn corpus(seed: Seed) -> CorpusOptions {
     CorpusOptions {

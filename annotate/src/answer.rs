@@ -97,6 +97,54 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         && (imported.note.is_empty() || ours.note == imported.note)
 }
 
+/// Whether the tables of a dataset would hold the same of two answers. They hold whole sentences, the masks that have a
+/// text, and the parts that an extent names, and neither notes nor reasons.
+pub(crate) fn are_stored_alike(a: &Answer, b: &Answer) -> bool {
+    let masks = |answer: &Answer| {
+        let masks = answer.fields().masks.iter();
+        let with_text = masks.filter(|mask| !mask.text.trim().is_empty());
+        let mut stored: Vec<_> = with_text
+            .map(|mask| {
+                let joints = mask.mask();
+                let (hard, soft) = (joints.hard().names(), joints.soft().names());
+                (hard, soft, mask.range, stored_words(&mask.text))
+            })
+            .collect();
+        stored.sort();
+        stored
+    };
+    let (one, other) = (a.fields(), b.fields());
+    a.kind() == b.kind()
+        && masks(a) == masks(b)
+        && one.verdict == other.verdict
+        && (a.is_reject()
+            || (
+                stored_parts(&one),
+                one.style,
+                one.edit_type,
+                one.text.trim(),
+            ) == (
+                stored_parts(&other),
+                other.style,
+                other.edit_type,
+                other.text.trim(),
+            ))
+}
+
+/// The body parts of a pair in the tables of a dataset: those that the answer names, else those of its extent.
+pub(crate) fn stored_parts(said: &Fields<'_>) -> Vec<String> {
+    match said.extent {
+        Some(Extent::Lower) if said.parts.is_empty() => vec!["LOWER_BODY".to_owned()],
+        Some(Extent::Upper) if said.parts.is_empty() => vec!["UPPER_BODY".to_owned()],
+        _ => said.parts.to_vec(),
+    }
+}
+
+/// The words of a description, by which those of a table are compared with those that people wrote.
+pub(crate) fn stored_words(text: &str) -> String {
+    completion(&sentence(text)).to_owned()
+}
+
 /// Whether answers to one task are equal, texts included and notes aside.
 pub(crate) fn share_words(answers: &[Answer]) -> bool {
     let plain = |answer: &Answer| {
@@ -240,7 +288,8 @@ fn check_parts(parts: &[String]) -> Result<(), Error> {
     Ok(())
 }
 
-fn check_text(field: &str, text: &str) -> Result<(), Error> {
+/// Refuses a text that is too long or holds a control character: PostgreSQL cannot store NUL.
+pub(crate) fn check_text(field: &str, text: &str) -> Result<(), Error> {
     let chars = text.chars().count();
     let problem = format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit");
     require(chars <= MAX_TEXT_CHARS, field, problem)?;
@@ -268,13 +317,22 @@ pub(crate) fn completion(text: &str) -> &str {
     }
 }
 
+/// Words of more than four letters in -ing that continue no sentence.
+const NO_GERUNDS: [&str; 11] = [
+    "bring", "cling", "during", "fling", "sling", "spring", "sting", "string", "swing", "thing",
+    "wring",
+];
+
 /// A description as a whole sentence, as the tables of a dataset hold it: "waving" becomes "The person is waving.".
-/// A text without a word in -ing among its first two words is only trimmed.
+/// A text without a gerund among its first two words is only trimmed.
 pub(crate) fn sentence(text: &str) -> String {
     let bare = text.trim();
     let is_gerund = |word: &str| {
         let letters = word.trim_end_matches(|c: char| !c.is_alphabetic());
-        letters.len() > 4 && letters.ends_with("ing")
+        let is_other = NO_GERUNDS
+            .iter()
+            .any(|other| other.eq_ignore_ascii_case(letters));
+        letters.len() > 4 && letters.ends_with("ing") && !is_other
     };
     // "slowly waving" continues the sentence too.
     if !bare.split_whitespace().take(2).any(is_gerund) {
@@ -665,6 +723,11 @@ mod tests {
                 "The person is slowly waving.",
             ),
             ("raise the arm", "raise the arm", "raise the arm"),
+            (
+                "bring both arms up",
+                "bring both arms up",
+                "bring both arms up",
+            ),
             ("", "", ""),
         ] {
             assert_eq!(completion(text), short);

@@ -10,7 +10,8 @@ use crate::Error;
 use crate::lock::lock;
 use crate::store::Millis;
 
-/// Returns the current time in milliseconds since the epoch.
+/// Returns the current time in milliseconds since the epoch. It may read the database, so it is called where threads may
+/// block, never in a future.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
 
 /// Milliseconds of 24 hours.

@@ -191,6 +191,14 @@ pub(crate) fn jaccard(a: JointSet, b: JointSet) -> f64 {
     a.intersection(b).len() as f64 / union as f64
 }
 
+/// Cells with `times` frames in place of each one, so that clips of different lengths can be compared.
+pub(crate) fn stretched(masks: &[Cells], times: i64) -> Vec<Cells> {
+    masks
+        .iter()
+        .map(|(joints, range)| (*joints, range.map(|frame| frame * times)))
+        .collect()
+}
+
 /// Jaccard index of the (joint, frame) pairs of two lists of masks; 1 if both have none.
 pub(crate) fn jaccard_in_time(a: &[Cells], b: &[Cells]) -> f64 {
     let mut edges: Vec<i64> = a.iter().chain(b).flat_map(|(_, range)| *range).collect();
@@ -324,5 +332,8 @@ mod tests {
             assert!((found - expected).abs() < 1e-12, "{a:?} {b:?}: {found}");
         }
         assert!((jaccard(arm, arms) - 0.5).abs() < 1e-12);
+        // The first halves of clips of 40 and of 90 frames are the same share.
+        let (short, long) = (stretched(&[begin], 90), stretched(&[(arm, [0, 45])], 40));
+        assert_eq!(short, long);
     }
 }

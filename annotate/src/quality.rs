@@ -12,7 +12,7 @@ use crate::answer::{completion, text_distance};
 use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
 use crate::groups::grouped;
 use crate::lock::lock;
-use crate::mask::{Cells, jaccard_in_time};
+use crate::mask::{Cells, jaccard_in_time, stretched};
 use crate::store::{Label, Millis, Store};
 use crate::wire::{Agreement, Answer, Estimate, PartAgreement, RevisionState, Verdict};
 
@@ -63,6 +63,8 @@ struct Said {
     blind: bool,
     gold: bool,
     state: RevisionState,
+    /// Whether a reviewer ever returned it.
+    returned: bool,
     /// Edit distances of the answer's texts from their drafts.
     drafts: Vec<f64>,
     /// Index of the verdict in [`Verdict::ALL`]; none for masks.
@@ -71,14 +73,19 @@ struct Said {
     covers: [bool; NUM_RELEASE_PARTS],
     /// Joints and frames of the answer's masks.
     cells: Vec<Cells>,
+    /// Number of frames of the clip.
+    frames: i64,
 }
 
 impl Said {
-    /// Agreement with another answer to the same task, 0 to 1.
+    /// Agreement with another answer, 0 to 1. Masks of two clips are compared as if the clips were equally long.
     fn likeness(&self, other: &Self) -> f64 {
         match self.verdict {
             Some(_) => f64::from(u8::from(self.verdict == other.verdict)),
-            None => jaccard_in_time(&self.cells, &other.cells),
+            None => jaccard_in_time(
+                &stretched(&self.cells, other.frames),
+                &stretched(&other.cells, self.frames),
+            ),
         }
     }
 }
@@ -130,13 +137,12 @@ impl Gathered {
         for tasks in changed.chunks(BATCH) {
             let labels = store.labels_to(tasks.to_vec())?;
             let drafts = drafts_of(store, labels.iter().map(|label| &label.revision.answer))?;
-            let frames = frames_of(store, &labels)?;
             for task in tasks {
                 self.tasks.remove(task);
             }
             for label in &labels {
                 let answers = self.tasks.entry(label.task).or_default();
-                answers.push(said(label, &drafts, &frames));
+                answers.push(said(label, &drafts));
             }
         }
         self.seq = seq;
@@ -181,7 +187,7 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
     let decided: Vec<f64> = all
         .iter()
         .filter_map(|said| match said.state {
-            RevisionState::Accepted => Some(1.0),
+            RevisionState::Accepted => Some(f64::from(u8::from(!said.returned))),
             RevisionState::Returned | RevisionState::Superseded => Some(0.0),
             RevisionState::Draft | RevisionState::Submitted => None,
         })
@@ -271,24 +277,7 @@ fn drafts_of<'a>(
         .collect())
 }
 
-/// Number of frames of the clips, by hash, whose answers have a range. Without a range it does not matter.
-fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, Error> {
-    let ranged: BTreeSet<String> = labels
-        .iter()
-        .filter(|label| {
-            let masks = label.revision.answer.fields().masks;
-            masks.iter().any(|mask| mask.range.is_some())
-        })
-        .map(|label| label.source.clone())
-        .collect();
-    let motions = store.motions(ranged.into_iter().collect())?;
-    Ok(motions
-        .into_iter()
-        .map(|motion| (motion.hash, motion.frames))
-        .collect())
-}
-
-fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String, i64>) -> Said {
+fn said(label: &Label, drafts: &BTreeMap<i64, String>) -> Said {
     let revision = &label.revision;
     let said = revision.answer.fields();
     let masks = said.masks.iter();
@@ -300,15 +289,15 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String,
         blind: label.blind,
         gold: label.gold,
         state: revision.state,
+        returned: label.returned,
         drafts: draft_distances(&revision.answer, drafts),
         verdict: said.verdict.map(|verdict| verdict as usize),
         covers: RELEASE_PARTS.map(|part| {
             let hard = part.mask().hard();
             sets.iter().any(|set| hard.difference(*set).is_empty())
         }),
-        cells: revision
-            .answer
-            .cells(frames.get(&label.source).copied().unwrap_or(1)),
+        cells: revision.answer.cells(label.frames),
+        frames: label.frames,
     }
 }
 

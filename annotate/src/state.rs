@@ -8,7 +8,8 @@ names! {
     pub enum LogKind {
         /// A task was created.
         Imported = "imported",
-        /// An imported answer was accepted for a task that nobody had worked on.
+        /// An imported answer was accepted for a task that nobody had worked on, if need be in place of a label of the
+        /// dataset.
         Filled = "filled",
         /// A clip of the task was ingested again with other content.
         ClipChanged = "clip_changed",
@@ -89,7 +90,7 @@ const SAME: &[TaskState] = &[];
 /// All legal transitions: the event, the states before it, and the possible states after it. Which of the possible
 /// states follows depends on the remaining answers and leases. Other transitions are refused with `wrong_state`.
 pub const MOVES: &[(LogKind, &[TaskState], &[TaskState])] = &[
-    (E::Filled, &[Open], &[Accepted]),
+    (E::Filled, &[Open, Accepted], &[Accepted]),
     (E::Claimed, WANTING, &[Leased]),
     (E::Claimed, &[Submitted], &[InReview]),
     (E::Assigned, WANTING, &[Leased]),

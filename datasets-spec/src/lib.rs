@@ -44,6 +44,7 @@ mod progress;
 pub mod quantile;
 pub mod record;
 pub mod rejected;
+pub mod sides;
 pub mod store;
 pub mod table;
 

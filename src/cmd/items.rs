@@ -1,13 +1,13 @@
 //! `stance items`
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use datasets_spec::record::ItemRow;
 use datasets_spec::table::Row as _;
-use datasets_spec::{Dataset, Seed, Split};
+use datasets_spec::{Dataset, Split};
 use eval::rows::{ItemFacts, Rows};
 use pipeline::export::export_items;
 
@@ -15,13 +15,16 @@ use crate::chosen::ChosenArgs;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::test_set::{self, BUILTIN_1};
-use crate::{report, stages};
+use crate::report;
+use crate::test_set::{self, BUILTIN_1, TestSet};
 
 /// Draw the test questions: a motion, an instruction, and the expected result.
 ///
 /// They are drawn once, with their own seed and composer settings. `stance edit RUN --items ITEMS` answers them, and
 /// `stance eval` scores the answers. An item's id is a hash of its content.
+///
+/// `set.json` beside the items says how they were drawn, and holds no motion. Who has the same dataset draws the same items from
+/// it: `stance items DATASET --set set.json`.
 ///
 /// `stance items export` writes drawn items for systems outside this program.
 #[derive(clap::Args, Debug)]
@@ -32,8 +35,9 @@ pub(crate) struct Args {
     /// Dataset folder with motions, and masks or pairs
     #[arg(required = true)]
     dataset: Option<PathBuf>,
-    /// Draw a test set that comes with the program: builtin-1, 300 questions on the built-in corpus
-    #[arg(long, value_name = "NAME", value_parser = parse_set, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
+    /// Draw the items of a set again: those of a file `set.json`, which this command writes beside items, or builtin-1,
+    /// 300 questions on the built-in corpus that come with the program
+    #[arg(long, value_name = "FILE|builtin-1", value_parser = parse_set, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
     set: Option<String>,
     /// Split to draw from
     #[arg(long, default_value = "test")]
@@ -82,7 +86,10 @@ struct ExportArgs {
 fn parse_set(name: &str) -> Result<String, String> {
     match name {
         BUILTIN_1 => Ok(name.to_owned()),
-        _ => Err(format!("{name:?} is no test set; there is {BUILTIN_1}")),
+        _ if Path::new(name).is_file() => Ok(name.to_owned()),
+        _ => Err(format!(
+            "{name:?} is neither a file nor a set that comes with the program; there is {BUILTIN_1}"
+        )),
     }
 }
 
@@ -93,30 +100,40 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let (Some(dataset), Some(out)) = (&args.dataset, &args.out) else {
         anyhow::bail!("name the dataset and where to write: stance items DATASET --out ITEMS");
     };
-    if args.set.is_some() && global.seed() != Seed(0) {
-        anyhow::bail!("{BUILTIN_1} is drawn with seed 0; leave --seed out");
-    }
-    let config = match args.set {
-        Some(_) => test_set::items(Seed(0), true),
-        None => ItemConfig {
-            count: args.count,
-            tasks: args.task.clone(),
-            novelty: args.novelty.clone(),
-            compose: args.compose.config()?,
-            ..ItemConfig::default()
+    let mut set = match args.set.as_deref() {
+        Some(BUILTIN_1) => TestSet::builtin_1(),
+        Some(file) => TestSet::read(file.as_ref())?,
+        None => TestSet {
+            split: args.split,
+            seed: global.seed(),
+            condition: args.chosen.text(),
+            content: None,
+            items: ItemConfig {
+                count: args.count,
+                tasks: args.task.clone(),
+                novelty: args.novelty.clone(),
+                compose: args.compose.config()?,
+                ..ItemConfig::default()
+            },
         },
     };
-    let seed = global.seed();
-    let opened = args.chosen.open(dataset)?;
+    if global.seed_or(Some(set.seed.0)) != set.seed {
+        anyhow::bail!(
+            "the set is drawn with seed {}; leave --seed out",
+            set.seed.0
+        );
+    }
     let before = Dataset::open_unverified(out).ok();
-    let drawn = stages::items(&opened, out, args.split, &config, seed, global);
-    let drawn = drawn.with_context(|| match args.set {
-        Some(_) => format!(
-            "{BUILTIN_1} is drawn from a dataset of its own, which these commands make in new folders: {}",
-            test_set::commands()
-        ),
-        None => "cannot draw items".to_owned(),
-    })?;
+    let mut drawn = set.draw(dataset, out, global);
+    if args.set.as_deref() == Some(BUILTIN_1) {
+        drawn = drawn.with_context(|| {
+            format!(
+                "{BUILTIN_1} is drawn from a dataset of its own, which these commands make in new folders: {}",
+                test_set::commands()
+            )
+        });
+    }
+    let drawn = drawn?;
     let (drawn, too_short) = (drawn.dataset, drawn.too_short);
     let before = before.as_ref().map(Dataset::manifest);
     if let Some(before) = before.filter(|before| before.version < drawn.manifest().version) {
@@ -134,6 +151,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let sources = distinct(|row| row.source_id.as_str());
     let instructions = distinct(|row| &row.instruction);
     let digest = digest_of_ids(rows.iter().map(|row| row.id.as_str()));
+    set.write(out, &digest)?;
     let mut novelty: BTreeMap<&str, usize> = BTreeMap::new();
     for row in rows {
         *novelty

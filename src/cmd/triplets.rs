@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use compose::recording::{self, Kind, Settings, plan_recording};
-use compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
+use compose::{ComposeConfig, Stream, StreamStats, Triplet, TripletStats, triplet_stats};
+use datasets_spec::record::TripletRow;
+use datasets_spec::table::{Cell, RecordBatch, Row as _, decode_column};
 use datasets_spec::{JointSet, Motion, Skeleton};
 use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::{feet, foot_score};
@@ -264,6 +266,50 @@ impl Args {
     }
 }
 
+/// Prints a triplet's row without its motions, the settings it was composed with, and hashes of its motions.
+fn explained(triplet: &Triplet, args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let mut facts = labels_of(triplet.to_row())?;
+    let file = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+    facts.extend([
+        // An id is a place in a stream: other settings have another triplet there.
+        ("compose", json!(file(&args.compose.compose))),
+        ("phrases", json!(file(&args.compose.phrases))),
+        ("where", json!(args.chosen.text())),
+        ("original_hash", json!(triplet.original.content_hash())),
+        ("edited_hash", json!(triplet.edited.content_hash())),
+    ]);
+    let lines = facts
+        .iter()
+        .map(|(key, value)| format!("{key} = {value}\n"));
+    let text: String = lines.collect();
+    global.say(&BTreeMap::from_iter(facts), &text)
+}
+
+/// The columns of a triplet besides its motions.
+fn labels_of(row: TripletRow) -> anyhow::Result<Vec<(&'static str, Value)>> {
+    fn cell<T: Cell + Serialize>(batch: &RecordBatch, name: &'static str) -> anyhow::Result<Value> {
+        let values: Vec<T> = decode_column(TripletRow::TABLE, name, batch)?;
+        Ok(json!(values.first()))
+    }
+    let batch = TripletRow::encode(&[row])?;
+    let mut labels = Vec::new();
+    for column in TripletRow::columns() {
+        let name = column.name;
+        let value = match (column.type_name().as_str(), column.nullable) {
+            ("utf8", false) => cell::<String>(&batch, name)?,
+            ("list<utf8>", false) => cell::<Vec<String>>(&batch, name)?,
+            ("i32", false) => cell::<i32>(&batch, name)?,
+            ("i32", true) => cell::<Option<i32>>(&batch, name)?,
+            ("u64", false) => cell::<u64>(&batch, name)?,
+            ("f32", false) => cell::<f32>(&batch, name)?,
+            // Frames of a motion.
+            _ => continue,
+        };
+        labels.push((name, value));
+    }
+    Ok(labels)
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(Action::Stats(args)) = &args.action {
         return stats(args, global);
@@ -273,36 +319,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(id) = &args.explain {
         let dataset = args.chosen.open(root)?;
         let (stream, _) = compose::train_stream(&dataset, &config, global.seed(), None)?;
-        let triplet = stream.explain(id)?;
-        let (edited, mask) = (&triplet.edited_frames, triplet.mask);
-        let file = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
-        let facts = [
-            ("id", json!(triplet.id)),
-            ("instruction", json!(triplet.instruction)),
-            ("source", json!(triplet.source_id.to_string())),
-            ("source_start", json!(triplet.source_start)),
-            ("target", json!(triplet.target_id.to_string())),
-            ("target_start", json!(triplet.target_start)),
-            ("hard_joints", json!(mask.hard().names())),
-            ("soft_joints", json!(mask.soft().names())),
-            ("alpha", json!(triplet.alpha)),
-            ("frames", json!(triplet.original.len())),
-            ("edit_start", json!(edited.start)),
-            ("edit_end", json!(edited.end)),
-            // An id is a place in a stream: other settings have another triplet there.
-            ("seed", json!(triplet.seed)),
-            ("compose", json!(file(&args.compose.compose))),
-            ("phrases", json!(file(&args.compose.phrases))),
-            ("where", json!(args.chosen.text())),
-            ("recipe_hash", json!(triplet.recipe_hash)),
-            ("original_hash", json!(triplet.original.content_hash())),
-            ("edited_hash", json!(triplet.edited.content_hash())),
-        ];
-        let lines = facts
-            .iter()
-            .map(|(key, value)| format!("{key} = {value}\n"));
-        let text: String = lines.collect();
-        return global.say(&BTreeMap::from(facts), &text);
+        return explained(&stream.explain(id)?, args, global);
     }
     let out = args.out.as_deref().context("--out is missing")?;
     let settings = args.recorded(config, global);

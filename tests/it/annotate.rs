@@ -284,11 +284,16 @@ pub(crate) fn accept(store: &Store, (author, reviewer): (i64, i64), answer: Answ
     let done = store.append(author, detail.task.id, vec![from_json(submit)], 0);
     let done = done.expect("takes events");
     assert_eq!(done[0].status, 200, "{:?}", done[0].problem);
+    accept_next(store, (author, reviewer), "accept");
+}
+
+/// Accepts the answer of an author to the next task to review.
+fn accept_next(store: &Store, (author, reviewer): (i64, i64), key: &str) {
     let next = store.review_next(reviewer, ReviewQueue::Sample, None, 0);
     let Ok(review) = next.expect("claims") else {
         panic!("a task to review")
     };
-    let accept = json!({ "idem_key": format!("accept-{}", review.task.id), "task": review.task.id,
+    let accept = json!({ "idem_key": format!("{key}-{}", review.task.id), "task": review.task.id,
         "lease_epoch": review.lease.epoch, "decision": "accept", "author": author });
     let done = store.review(reviewer, from_json(accept), 0);
     done.expect("accepts");
@@ -376,6 +381,87 @@ fn masks_that_people_accept_outside_a_project_stay_at_its_export() {
     let counts = &export()["counts"];
     assert_eq!(counts["masks_rejected_by_others"], described.len());
     assert_eq!(of_people(), []);
+}
+
+#[test]
+fn what_is_accepted_again_and_rejected_after_the_next_export_stays_out() {
+    let (_dir, dataset) = dataset(12);
+    let people = answered(&dataset, [masks("testing")]);
+    let export = || -> Value { annotate(&dataset, &["--json", "export"]).done() };
+    export();
+    assert_eq!(take_back(&dataset, people.1), 1);
+    let store = open_sqlite(&store_of(&dataset)).expect("a store");
+    accept_next(&store, people, "accept-again");
+    export();
+    let of_people = || {
+        let rows = rows_of::<MaskRow>(&dataset).into_iter();
+        rows.filter(|row| row.text_origin == "human").count()
+    };
+    assert_eq!(of_people(), 2);
+    judge_lines(&dataset, "cat", |line| {
+        if line["text"]
+            .as_str()
+            .is_some_and(|text| text.contains("testing"))
+        {
+            line["verdict"] = json!("reject");
+        }
+    })
+    .expect_code(0);
+    assert_eq!(export()["counts"]["masks_rejected_by_others"], 2);
+    assert_eq!(of_people(), 0);
+}
+
+#[test]
+fn labels_that_a_project_only_imported_stay_as_the_dataset_has_them() {
+    let (dir, dataset) = dataset(12);
+    let drafts: Vec<MaskRow> = rows_of(&dataset);
+    let of_clip = |row: &MaskRow| {
+        let same = drafts
+            .iter()
+            .filter(|other| other.motion_id == row.motion_id);
+        same.count()
+    };
+    let first = drafts.iter().find(|row| of_clip(row) > 1);
+    let first = first.expect("a clip of two masks");
+    let second = drafts.iter().find(|row| row.motion_id != first.motion_id);
+    let second = second.expect("another clip");
+    let judge = |author: &str, texts: &[(&str, &str)]| {
+        judge_lines(&dataset, author, |line| {
+            for (id, text) in texts {
+                if line["mask"] == *id {
+                    line["text"] = json!(text);
+                    line["verdict"] = json!("accept");
+                }
+            }
+        })
+        .expect_code(0);
+        rows_of::<MaskRow>(&dataset)
+    };
+    let other = dir.path("other.sqlite");
+    let stores: [&[&str]; 2] = [&[], &["--store", arg(&other)]];
+    let export = |store: &[&str]| -> Value {
+        annotate(&dataset, &[store, &["--json", "export"]].concat()).done()
+    };
+    let texts = [
+        (first.id.as_str(), "The person is on the floor."),
+        (second.id.as_str(), "bring both arms up"),
+    ];
+    let stated = judge("ben", &texts);
+    for store in stores {
+        annotate(&dataset, &[store, &["import"]].concat()).expect_code(0);
+        assert_eq!(export(store)["counts"]["labels_left_as_they_are"], 2);
+        assert_eq!(rows_of::<MaskRow>(&dataset), stated);
+    }
+    // Neither brings back what was corrected since, and a later import takes the correction.
+    let corrected = judge("cat", &[(first.id.as_str(), "The person is lying down.")]);
+    assert_ne!(corrected, stated);
+    for store in stores {
+        export(store);
+        assert_eq!(rows_of::<MaskRow>(&dataset), corrected);
+        let taken: Value = annotate(&dataset, &[store, &["--json", "import"]].concat()).done();
+        let counts = ["filled_tasks", "conflicts"].map(|name| taken["counts"][name].clone());
+        assert_eq!(counts, [json!(1), Value::Null], "{taken}");
+    }
 }
 
 /// Answers some tasks of a store and accepts the answers. The reviewer accepts an answer of her own of each kind.
@@ -953,7 +1039,11 @@ fn two_servers_of_one_store_give_nothing_twice() {
                 for task in 0..each {
                     let [here, there] = [0, 1].map(|side| &servers[(number + task + side) % 2].url);
                     let view = person.claim(here, TaskKind::MaskText);
-                    let body = events(&view, &format!("two-{run}-{number}-{task}"), &masks("waving"));
+                    let body = events(
+                        &view,
+                        &format!("two-{run}-{number}-{task}"),
+                        &masks("waving"),
+                    );
                     person.save(there, &view, &body);
                     done.lock().expect("no panic").push(view.task.id);
                 }

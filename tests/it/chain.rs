@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use datasets_spec::record::MotionRow;
+use datasets_spec::record::{MotionRow, TripletRow};
+use datasets_spec::table::Row as _;
 use serde_json::{Value, json};
 
 use crate::results::score;
@@ -123,6 +124,12 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         assert_eq!(explained["compose"], Value::Null);
         explained
     });
+    let is_motion = |name: &str| name.starts_with("original_") || name.starts_with("edited_");
+    for column in TripletRow::columns() {
+        let is_said = first.get(column.name).is_some();
+        assert_eq!(is_said, !is_motion(column.name), "{}", column.name);
+    }
+    assert_eq!(first["edit_end"], Value::Null);
     assert_eq!(first["recipe_hash"], other["recipe_hash"]);
     assert_ne!(first["edited_hash"], other["edited_hash"]);
     folder.put("once", "fixed_pairs = true\n");

@@ -6,7 +6,7 @@ use datasets_spec::Split;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use serde_json::Value;
 
-use crate::util::{Folder, motions_of};
+use crate::util::{Folder, json_of, motions_of, text_of, word_of};
 
 /// Makes the dataset of the built-in test set from a corpus of `clips` clips.
 fn with_dataset(clips: &str) -> Folder {
@@ -128,6 +128,10 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused_and_one_without_training_
     assert!(!folder.path("items").exists());
     let unknown = folder.typed("items @dataset --set builtin-2 --out @items");
     unknown.expect_code(2).expect_said("there is builtin-1");
+    folder.refused(
+        "items @dataset --set builtin-1 --seed 3 --out @items",
+        "leave --seed out",
+    );
 
     // The training split is removed, so the novelty is unknown.
     folder.run("dataset select @dataset --where \"split != 'train'\" --out @alone");
@@ -152,6 +156,62 @@ fn what_training_has_shown_does_not_depend_on_the_clips_that_questions_are_drawn
         task == "fine-grained" && novelty.is_some_and(|novelty| novelty != "unshown")
     };
     assert!(stated.any(is_told));
+}
+
+#[test]
+fn a_set_draws_its_items_again_without_their_motions_and_refuses_others() {
+    let folder = with_dataset("330");
+    folder.put("compose.toml", "fixed_pairs = true");
+    let drawn: Value = folder.json(
+        "items @dataset --count 24 --task semantic,style --novelty retake,combination --seed 7 \
+         --where \"action <> 'walk'\" --compose @compose.toml --out @first",
+    );
+    let path = folder.path("first").join("set.json");
+    folder.put("sent.json", std::fs::read(&path).expect("a set"));
+    assert!(text_of(&path).len() < 4_000, "{}", text_of(&path));
+    std::fs::rename(folder.path("first"), folder.path("away")).expect("moved");
+
+    // Whoever has made the same dataset draws the same folder: items, novelties, and the set itself.
+    folder.run("ingest @corpus --pairs @corpus/pairs.csv --out @theirs");
+    folder.run("masks @theirs");
+    folder.run("pairs @theirs");
+    let again: Value = folder.json("items @theirs --set @sent.json --out @again");
+    assert_eq!(again, drawn);
+    assert_eq!(folder.text("again/set.json"), folder.text("sent.json"));
+
+    // A folder that holds these items says so only once they were drawn again.
+    let altered = folder
+        .text("sent.json")
+        .replace(word_of(&drawn["digest"]), "0123");
+    folder.put("altered.json", altered);
+    folder.refused(
+        "items @theirs --set @altered.json --out @again",
+        "come to 0123",
+    );
+
+    // Other masks, another seed, or no digest: refused, and nothing is written.
+    folder.run("dataset select @theirs --where \"split <> 'val' AND style <> 'old'\" --out @part");
+    let refused = folder.typed("items @part --set @sent.json --out @none");
+    refused.expect_refused("of other files of motions, masks or pairs");
+    folder.refused(
+        "items @theirs --set @sent.json --seed 8 --out @none",
+        "drawn with seed 7",
+    );
+    let mut unproved: Value = json_of(folder.path("sent.json"));
+    unproved["items"]["digest"] = Value::Null;
+    folder.put("unproved.json", unproved.to_string());
+    folder.refused(
+        "items @theirs --set @unproved.json --out @none",
+        "does not state the digest",
+    );
+    folder.put("other.json", "{\"split\": \"test\"}");
+    folder.refused(
+        "items @theirs --set @other.json --out @none",
+        "is no set of test items",
+    );
+    assert!(!folder.path("none").exists());
+    let both = folder.typed("items @theirs --set @sent.json --count 3 --out @none");
+    both.expect_code(2);
 }
 
 /// Ingests the folder of one limit with one of its lists of pairs, and draws all its items.

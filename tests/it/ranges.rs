@@ -11,19 +11,19 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     let folder = Folder::of_masks(60);
     folder.run("masks @dataset --drafts @lines.jsonl");
 
-    // Every mask of the test split holds for frames 5 to 45.
+    // Every mask of the test split holds for frames 5 to 36.
     let dataset = folder.dataset_at("dataset");
     let tested: Vec<MaskRow> = dataset.read(Some(Split::Test)).expect("masks");
     assert!(!tested.is_empty());
     let mut drafts = json_lines(&folder.text("lines.jsonl"));
     for line in &mut drafts {
         if tested.iter().any(|mask| line["mask"] == mask.id.as_str()) {
-            (line["start"], line["end"]) = (5.into(), 45.into());
+            (line["start"], line["end"]) = (5.into(), 36.into());
         }
         line["verdict"] = "accept".into();
     }
     let edited: Vec<String> = drafts.iter().map(Value::to_string).collect();
-    let short = edited.join("\n").replace("\"end\":45", "\"end\":30");
+    let short = edited.join("\n").replace("\"end\":36", "\"end\":30");
     folder.put("lines.jsonl", short);
     let accept = "masks @dataset --accept @lines.jsonl --author ann";
     folder.typed(accept).expect_refused("31 at least");
@@ -56,7 +56,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     let mut changed = 0;
     for item in &asked {
         let frames = item.edited_frames().expect("a range");
-        assert_eq!(frames.len(), 40.min(item.source_body_pose.len()));
+        assert_eq!(frames.len(), 31.min(item.source_body_pose.len()));
         let edit = made.iter().find(|edit| edit.id == item.id);
         let edit = edit.expect("an edit");
         let same = |frame: usize| edit.body_pose[frame] == item.source_body_pose[frame];
@@ -76,11 +76,11 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     };
     assert_eq!(masks("again"), masks("dataset"));
 
-    // At another rate a range has other frame numbers: 5 and 45 at 20 fps are 7.5 and 67.5 at 30 fps.
+    // At another rate a range has other frame numbers: 5 and 36 at 20 fps are 7.5 and 54 at 30 fps.
     folder.run("ingest @dataset --fps 30 --out @faster");
     let faster = masks("faster").into_iter();
     let ranges = faster.filter_map(|mask| mask.start.zip(mask.end));
-    assert_eq!(ranges.collect::<Vec<_>>(), vec![(8, 68); tested.len()]);
+    assert_eq!(ranges.collect::<Vec<_>>(), vec![(8, 54); tested.len()]);
 
     // So it has in a release, whose motions are at 20 fps, and after the dataset itself is read again at another rate.
     folder.run("export @faster --to stance --out @released");
@@ -89,22 +89,22 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         let ranges = masks(dataset).into_iter();
         ranges.filter_map(|mask| mask.start.zip(mask.end)).collect()
     };
-    assert_eq!(of("slower"), vec![(5, 45); tested.len()]);
+    assert_eq!(of("slower"), vec![(5, 36); tested.len()]);
     folder.run("ingest @corpus --out @dataset --fps 30 --new-version");
-    assert_eq!(of("dataset"), vec![(8, 68); tested.len()]);
+    assert_eq!(of("dataset"), vec![(8, 54); tested.len()]);
     folder.run("verify @dataset");
-    // At 10 fps, 40 frames are 20, which are too few for a mask.
+    // At 10 fps, frames 8 to 54 of 30 fps are 3 to 18, which are too few for a mask.
     let line = "ingest @corpus --out @dataset --fps 10 --new-version";
     let refused = folder.typed(line).refusal();
     assert!(refused.contains("--drop-labels"), "{refused}");
-    assert_eq!(of("dataset"), vec![(8, 68); tested.len()]);
+    assert_eq!(of("dataset"), vec![(8, 54); tested.len()]);
     folder.run(&format!("{line} --drop-labels"));
     assert_eq!(of("dataset"), vec![]);
     folder.run("verify @dataset");
 
     // A range outside its clip is left out and reported by name; the other ranges are imported.
     let lines = folder.text("exported/masks.jsonl");
-    let wrong = lines.replacen("\"end\":45", "\"end\":4500", 1);
+    let wrong = lines.replacen("\"end\":36", "\"end\":4500", 1);
     assert_ne!(wrong, lines);
     folder.put("exported/masks.jsonl", wrong);
     let told = folder.typed("--json ingest @exported --out @rest");

@@ -5,7 +5,8 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::{MotionRow, SkippedRow};
+use datasets_spec::Split;
+use datasets_spec::record::{MotionRow, PairRow, SkippedRow};
 use serde_json::{Value, json};
 
 use crate::archives::files_below;
@@ -14,8 +15,8 @@ use crate::grown::{
     verified,
 };
 use crate::util::{
-    Folder, Ran, arg, assert_has, assert_tells, command, everything, files_with_extension, len_of,
-    list_of, name_of, put, rows_of, skipped_of, text_of, word_of, words_of,
+    Folder, Ran, arg, assert_has, assert_tells, command, commit, everything, files_with_extension,
+    len_of, list_of, name_of, put, root_hash_of, rows_of, skipped_of, text_of, word_of, words_of,
 };
 
 /// Runs `ingest`, which must end with this code, and returns its document.
@@ -499,4 +500,150 @@ fn a_folder_named_like_another_source_is_asked_about() {
     assert!(rows.iter().all(|row| !row.source_name.is_empty()));
     assert_eq!(clips(&fresh).len(), 12);
     assert!(clips(&fresh).keys().any(|id| id.starts_with("more-2/")));
+}
+
+/// A small corpus, a dataset of it, and a dataset of that dataset.
+fn chained() -> (Folder, PathBuf, PathBuf) {
+    let dir = Folder::of_dataset(12);
+    dir.run("ingest @dataset --out @copy");
+    let [dataset, copy] = ["dataset", "copy"].map(|name| dir.path(name));
+    (dir, dataset, copy)
+}
+
+/// Gives a clip of the corpus of [`chained`] the motion of another.
+fn correct(dir: &Folder) -> &'static str {
+    let [from, to] = ["old", "angry"].map(|style| format!("corpus/bvh/wave-right_{style}_001.bvh"));
+    fs::copy(dir.path(&from), dir.path(&to)).expect("copied");
+    "bvh/wave-right_angry_001"
+}
+
+/// Checks that no id is in a dataset twice, and returns the number of clips.
+fn count(dataset: &Path) -> usize {
+    let count = clips(dataset).len();
+    assert_eq!(motions(dataset).len(), count);
+    verified(dataset);
+    count
+}
+
+#[test]
+fn a_clip_of_a_dataset_that_is_a_source_is_known_by_its_id() {
+    let (dir, dataset, copy) = chained();
+    let changed = correct(&dir);
+    dir.run("ingest @corpus --out @dataset");
+    let told = grow(&[&dataset], &copy, &["--dry-run"], 0);
+    let grown = ingest(&[&dataset], &copy, &[], 0);
+    predicted(&told, &grown);
+    assert_eq!(grown["growth"]["changed"], json!([changed]), "{grown}");
+    assert_eq!(grown["growth"]["missing"], json!([]));
+    assert_eq!(count(&copy), 12);
+    assert_eq!(clips(&copy), clips(&dataset));
+    // Its files are laid out anew.
+    dir.run("dataset compact @dataset");
+    let grown = ingest(&[&dataset], &copy, &[], 0);
+    for none in ["changed", "missing"] {
+        assert_eq!(grown["growth"][none], json!([]), "{grown}");
+    }
+    assert_eq!(count(&copy), 12);
+    // A clip that left the source stays, and the others are still known.
+    dir.run(r#"dataset remove @dataset --where "style = 'old'""#);
+    let grown = ingest(&[&dataset], &copy, &[], 0);
+    assert_eq!(grown["growth"]["new"], 0, "{grown}");
+    assert_eq!(len_of(&grown["growth"]["missing"]), 2);
+    assert_eq!(count(&copy), 12);
+}
+
+#[test]
+fn a_clip_of_a_dataset_takes_no_id_of_another_source() {
+    let (dir, _, ben) = two_people();
+    dir.run("ingest @corpus --out @dataset");
+    dir.run("ingest @dataset --out @copy");
+    let [dataset, copy] = ["dataset", "copy"].map(|name| dir.path(name));
+    for out in [&copy, &dataset] {
+        grow(&[named("g1", &ben)], out, &[], 0);
+    }
+    for new in [3, 0] {
+        let grown = ingest(&[&dataset], &copy, &[], 0);
+        assert_eq!(grown["growth"]["new"], new, "{grown}");
+        assert_eq!(grown["growth"]["missing"], json!([]));
+        assert_eq!(count(&copy), 18);
+        dir.run("dataset compact @dataset");
+    }
+    let clips = clips(&copy);
+    assert!(clips.contains_key("g1/take0") && clips.contains_key("dataset/g1/take0"));
+}
+
+#[test]
+fn a_clip_of_a_release_whose_folder_moved_is_known_by_its_id() {
+    let dir = Folder::of_dataset(12);
+    dir.run("export @dataset --to humanml3d --out @source/release");
+    let [source, copy] = ["source", "copy"].map(|name| dir.path(name));
+    ingest(&[&source], &copy, &[], 0);
+    let before = clips(&copy);
+    let moved = source.join("moved");
+    fs::rename(source.join("release"), &moved).expect("moved");
+    let vectors = moved.join("new_joint_vecs");
+    let [from, to] = ["000000.npy", "000001.npy"].map(|name| vectors.join(name));
+    fs::copy(from, to).expect("copied");
+    let grown = ingest(&[&source], &copy, &[], 0);
+    let growth = &grown["growth"];
+    assert_eq!(growth["changed"], json!(["000001"]), "{growth}");
+    assert_eq!(len_of(&growth["moved"]), 12);
+    assert_eq!(count(&copy), 12);
+    let after = clips(&copy);
+    assert!(before.keys().eq(after.keys()));
+    assert_eq!(after["000001"].1, before["000000"].1);
+}
+
+#[test]
+fn labels_of_a_clip_stay_if_another_clip_of_its_file_changes() {
+    let (dir, dataset, copy) = chained();
+    let (old, neutral) = ("bvh/wave-right_old_001", "bvh/wave-right_neutral_001");
+    let line = format!("styled,original,style,text\n{old},{neutral},old,Wave old.\n");
+    dir.put("pairs.csv", line);
+    dir.run("pairs @copy --csv @pairs.csv");
+    let pairs = || dir.rows::<PairRow>("copy");
+    let before = pairs();
+    assert_eq!(before.len(), 1);
+    let again = || {
+        fs::remove_dir_all(&dataset).expect("removed");
+        dir.run("ingest @corpus --out @dataset");
+    };
+    let changed = correct(&dir);
+    again();
+    let told = grow(&[&dataset], &copy, &["--dry-run"], 0);
+    let grown = ingest(&[&dataset], &copy, &[], 0);
+    predicted(&told, &grown);
+    assert_eq!(grown["growth"]["changed"], json!([changed]), "{grown}");
+    assert_eq!(grown["growth"]["lost"], json!([]));
+    assert_eq!(pairs(), before);
+    // The second clip of the pair changes.
+    let other = dir.path("corpus/bvh/wave-right_proud_001.bvh");
+    fs::copy(other, dir.path("corpus").join(format!("{neutral}.bvh"))).expect("copied");
+    again();
+    let said = grow(&[&dataset], &copy, &[], 1);
+    assert_has(word_of(&said["reason"]), &["--drop-labels", neutral]);
+    assert_eq!(pairs(), before);
+}
+
+#[test]
+fn no_run_commits_one_id_twice() {
+    let dir = Folder::of_dataset(4);
+    let dataset = dir.path("dataset");
+    let mut rows = motions(&dataset);
+    let mut twin = rows[0].clone();
+    twin.split = match twin.split {
+        Split::Train => Split::Test,
+        _ => Split::Train,
+    };
+    let id = twin.id.to_string();
+    rows.push(twin);
+    commit(&dataset, &rows, |row| row.split, "twice");
+    let file = &files(&dir.path("corpus"))[0];
+    let end = file.extension().expect("one");
+    fs::copy(file, dir.path("corpus/new").with_extension(end)).expect("copied");
+    let before = root_hash_of(&dataset);
+    let said = grow(&[dir.path("corpus")], &dataset, &[], 1);
+    assert_eq!(said["code"], "E-COMMON-ID", "{said}");
+    assert_tells(&said["reason"], &id);
+    assert_eq!(root_hash_of(&dataset), before);
 }

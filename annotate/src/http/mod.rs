@@ -20,7 +20,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::{FromRequestParts, RawPathParams, Request};
 use axum::http::header::{self, HeaderMap, HeaderName};
 use axum::http::uri::Authority;
-use axum::http::{Method, StatusCode};
+use axum::http::{Method, StatusCode, Uri};
 use axum::middleware::map_response;
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::on;
@@ -279,6 +279,7 @@ async fn within<T>(
 async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Result<Response, Error> {
     let (mut parts, body) = request.into_parts();
     check_host(&parts.headers, &app.config.hosts)?;
+    check_address(&parts.uri)?;
     let peer = parts
         .extensions
         .get::<Peer>()
@@ -298,17 +299,19 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
         true => ("the upload", app.config.upload_patience),
         false => ("the request", patience),
     };
-    let context = Context {
-        body: within(time, what, read_body(body, route.max_body)).await?,
-        params,
-        who,
-        client: proxy::client(peer, &parts.headers, &app.config.trusted_proxies),
-        uri: parts.uri,
-        headers: parts.headers,
-        now: app.now(),
-        app,
-    };
-    let work = blocking(move || (route.handler)(&context));
+    let body = within(time, what, read_body(body, route.max_body)).await?;
+    let work = blocking(move || {
+        (route.handler)(&Context {
+            body,
+            params,
+            who,
+            client: proxy::client(peer, &parts.headers, &app.config.trusted_proxies),
+            uri: parts.uri,
+            headers: parts.headers,
+            now: app.now(),
+            app,
+        })
+    });
     within(patience, "the request", work).await
 }
 
@@ -379,6 +382,21 @@ fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
         "{name:?} is no name of this server; whoever runs it names it with --host if it should be one"
     );
     Err(Error::refused(Code::WrongHost, problem))
+}
+
+/// Refuses escaped control characters in an address, as texts have none: PostgreSQL cannot search for NUL.
+fn check_address(uri: &Uri) -> Result<(), Error> {
+    let is_control = |escape: &str| {
+        let digits = escape.get(..2);
+        let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        byte.is_some_and(|byte| byte.is_ascii_control() && !matches!(byte, b'\n' | b'\t'))
+    };
+    let address = uri.path_and_query().map_or("", |address| address.as_str());
+    if address.split('%').skip(1).any(is_control) {
+        let problem = "the address holds a control character; remove it";
+        return Err(Error::refused(Code::BadRequest, problem));
+    }
+    Ok(())
 }
 
 /// Checks that a changing request with a cookie comes from the page itself (CSRF protection).

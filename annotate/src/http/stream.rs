@@ -87,10 +87,10 @@ async fn listen(
     let comment = |text| Event::default().comment(text);
     sender.send(comment("connected")).await.ok()?;
     loop {
-        let (store, (token, purpose), now) = (Arc::clone(&app.store), login.clone(), app.now());
+        let (app, (token, purpose)) = (Arc::clone(&app), login.clone());
         let work = move || {
-            let who = store.recognise(&token, purpose, now)?;
-            changes(&store, &who, after)
+            let who = app.store.recognise(&token, purpose, app.now())?;
+            changes(&app.store, &who, after)
         };
         let (seq, events) = blocking(work).await.ok()?;
         let more = seq - after >= BATCH as i64;

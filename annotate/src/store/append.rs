@@ -5,15 +5,14 @@ use super::entry::{Body, Entry};
 use super::leases::{MINUTE, Turn};
 use super::log::{self, Request};
 use super::records::{Millis, TaskRecord};
-use super::settings::has_up_to;
 use super::store::Store;
 use super::{apply, project, read, rows, rules};
 use crate::answer;
 use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
-    Answer, Code, EventKind, EventResult, Feedback, Lease, MAX_TEXT_CHARS, NewEvent, Problem,
-    Revision, RevisionState, Settings, TaskState,
+    Answer, Code, EventKind, EventResult, Feedback, Lease, NewEvent, Problem, Revision,
+    RevisionState, Settings, TaskState,
 };
 
 /// Maximum working time that one event can report.
@@ -103,8 +102,7 @@ fn take(tx: &mut dyn Tx, turn: &Turn, id: i64, event: &NewEvent) -> Result<Event
     if let Some(result) = request.replay(tx)? {
         return Ok(result);
     }
-    let is_short = has_up_to(&event.note, MAX_TEXT_CHARS);
-    require(is_short, "note", "the note is too long")?;
+    answer::check_text("note", &event.note)?;
     let taking = Taking {
         turn,
         task: rows::task(tx, id)?,
@@ -234,10 +232,10 @@ impl Taking<'_> {
         let mut answers = others(tx, self.task.id, self.turn.user)?;
         answers.push(answer.clone());
         let frames = project::frames(tx, &self.task.source)?;
-        let score = |known: &Answer| 1.0 - answer::distance(known, &answer, frames);
-        let scored = self.task.gold.as_ref().map(|known| Feedback {
-            score: score(known),
-            known: known.clone(),
+        let known = read::known_answer(tx, &self.task)?;
+        let scored = known.map(|known| Feedback {
+            score: 1.0 - answer::distance(&known, &answer, frames),
+            known,
         });
         let score = scored.as_ref().map(|feedback| feedback.score);
         let body = Body::Submitted {

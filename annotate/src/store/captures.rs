@@ -10,7 +10,7 @@ use super::entry::Body;
 use super::records::Millis;
 use super::store::Store;
 use super::{log, project};
-use crate::answer::check_style_name;
+use crate::answer::{check_style_name, check_text};
 use crate::error::{Error, require};
 use crate::wire::{Answer, CaptureCell, Captures, PlannedCapture, Settings, TaskState, Verdict};
 
@@ -72,8 +72,10 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
         if style.is_empty() {
             return refuse("style", "the style is missing".to_owned());
         }
+        let check_style =
+            || check_text("style", style).and_then(|()| check_style_name(style, settings));
         if styles.insert(style)
-            && let Err(error) = check_style_name(style, settings)
+            && let Err(error) = check_style()
         {
             return refuse("style", error.problem().detail);
         }

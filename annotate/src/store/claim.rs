@@ -22,6 +22,11 @@ const FOR_ME: &str = "t.claimable = 1
   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
   AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)";
 
+/// SQL condition: `t` is a practice task of kind `?1` that can be given, since the task that it is a copy of is accepted.
+/// The key of a copy is `practice:` and the key of that task.
+const PRACTICE: &str = "t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
+  AND NOT EXISTS (SELECT 1 FROM task o WHERE o.key = substr(t.key, 10) AND o.state <> 'accepted')";
+
 /// The order of [`PLACED`] tasks.
 const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
@@ -575,8 +580,8 @@ fn claim_task(tx: &mut dyn Tx, turn: &Turn, id: i64) -> Result<()> {
 /// A user's progress in the practice tasks of a kind. Reviewers and admins need no practice.
 pub(super) fn standing(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Practice> {
     let (user, settings) = (turn.user, &turn.settings);
-    let sql = "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')";
-    let there = tx.number(sql, params![kind])?;
+    let sql = format!("SELECT COUNT(*) FROM task t WHERE {PRACTICE}");
+    let there = tx.number(&sql, params![kind])?;
     let needed = there.min(settings.practice_tasks.into());
     let scores: Vec<f64> = tx.list(
         "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
@@ -604,11 +609,10 @@ fn next_practice(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<
     if turn.settings.practice_tasks == 0 || standing(tx, turn, kind)?.passed {
         return Ok(None);
     }
-    tx.find(
-        "SELECT t.id FROM task t LEFT JOIN gold_score g ON g.task = t.id AND g.usr = ?2
-         WHERE t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
+    let sql = format!(
+        "SELECT t.id FROM task t LEFT JOIN gold_score g ON g.task = t.id AND g.usr = ?2 WHERE {PRACTICE}
          ORDER BY CASE WHEN g.at IS NULL THEN 0 ELSE 1 END,
-           (SELECT COUNT(*) FROM skip s WHERE s.task = t.id AND s.usr = ?2), g.at, t.shuffle, t.id LIMIT 1",
-        params![kind, turn.user],
-    )
+           (SELECT COUNT(*) FROM skip s WHERE s.task = t.id AND s.usr = ?2), g.at, t.shuffle, t.id LIMIT 1"
+    );
+    tx.find(&sql, params![kind, turn.user])
 }

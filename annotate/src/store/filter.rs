@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use super::db::{Result, ToSql};
 use super::settings::has_up_to;
+use crate::answer::check_text;
 use crate::error::{Error, require};
 use crate::wire::{SkipFilter, TaskFilter};
 
@@ -162,7 +163,7 @@ fn contains(text: &str, values: &mut Values) -> String {
     format!("({})", any.join(" OR "))
 }
 
-/// Refuses a filter with an unknown part, a long search text, or a distance outside 0 to 1.
+/// Refuses a filter with an unknown part, a long search text, a control character, or a distance outside 0 to 1.
 pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     const MAX_SEARCH: usize = 200;
     if let Some(part) = &filter.part
@@ -173,6 +174,14 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     let is_short = |text: &String| has_up_to(text, MAX_SEARCH);
     let problem = format!("search for up to {MAX_SEARCH} characters");
     require(filter.q.as_ref().is_none_or(is_short), "q", problem)?;
+    for (field, text) in [
+        ("q", &filter.q),
+        ("category", &filter.category),
+        ("split", &filter.split),
+        ("rule", &filter.rule),
+    ] {
+        check_text(field, text.as_deref().unwrap_or_default())?;
+    }
     for (field, value) in [
         ("min_distance", filter.min_distance),
         ("max_distance", filter.max_distance),

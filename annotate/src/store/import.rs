@@ -120,7 +120,8 @@ fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
 }
 
 /// Accepts an imported answer to a known task about the same motions, unless the task has another answer, or somebody
-/// is working on it or has decided about it.
+/// is working on it or has decided about it. A label of the dataset gives way to a newer one, and to an answer that the
+/// dataset would hold alike, which names its author.
 fn fill(
     tx: &mut dyn Tx,
     actor: Option<i64>,
@@ -130,11 +131,19 @@ fn fill(
     done: &mut Imported,
     now: Millis,
 ) -> Result<()> {
-    if let Some(accepted) = read::accepted_answer(tx, id)?
-        && answer::says(&accepted, answer)
-    {
-        done.known += 1;
-        return Ok(());
+    let of_dataset = new.credit.as_ref().is_some_and(|credit| credit.of_dataset);
+    let mut gives_way = false;
+    if let Some(accepted) = read::accepted_answer(tx, id)? {
+        let is_label = tx.number(
+            "SELECT COUNT(*) FROM accepted WHERE task = ?1 AND basis LIKE 'import.dataset%'",
+            params![id],
+        )? > 0;
+        let is_alike = answer::are_stored_alike(&accepted, answer);
+        if (of_dataset && is_alike) || (!is_label && answer::says(&accepted, answer)) {
+            done.known += 1;
+            return Ok(());
+        }
+        gives_way = is_label && (of_dataset || is_alike);
     }
     let touched = tx.number(
         "SELECT (SELECT COUNT(*) FROM revision WHERE task = ?1) + (SELECT COUNT(*) FROM lease WHERE task = ?1)
@@ -142,9 +151,13 @@ fn fill(
         params![id],
     )?;
     let task = rows::task(tx, id)?;
-    if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
+    let is_open = task.state == TaskState::Open || gives_way;
+    if touched > 0 || !is_open || task.gold.is_some() {
         let ever = read::answers_ever(tx, id)?;
-        let had_it = ever.iter().any(|ours| answer::says(ours, answer));
+        let had_it = ever.iter().any(|ours| match of_dataset {
+            true => answer::are_stored_alike(ours, answer),
+            false => answer::says(ours, answer),
+        });
         let keys = if had_it {
             &mut done.earlier
         } else {

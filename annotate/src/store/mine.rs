@@ -135,7 +135,7 @@ fn own_answer(
 fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>> {
     let sql = "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2";
     let score = tx.find(sql, params![task.id, user])?;
-    let known = score.zip(task.gold.clone());
+    let known = score.zip(read::known_answer(tx, task)?);
     Ok(known.map(|(score, known)| Feedback { score, known }))
 }
 

@@ -28,7 +28,7 @@ pub(super) struct Acceptance<'a> {
     /// Whether the answer keeps a pair.
     pub(super) keeps: bool,
     /// How the answer was accepted: `review`, `own`, `rule:NAME` or `import`, or `import:` followed by how it was
-    /// accepted elsewhere.
+    /// accepted elsewhere; for a label of the dataset with `import.dataset` in place of `import`.
     pub(super) basis: String,
 }
 
@@ -49,7 +49,11 @@ impl<'a> Acceptance<'a> {
     /// The acceptance of an imported answer.
     pub(super) fn imported(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Self {
         let elsewhere = credit.and_then(|credit| credit.accepted_by.as_deref());
-        let basis = elsewhere.map_or("import".to_owned(), |basis| format!("import:{basis}"));
+        let import = match credit.is_some_and(|credit| credit.of_dataset) {
+            true => "import.dataset",
+            false => "import",
+        };
+        let basis = elsewhere.map_or(import.to_owned(), |basis| format!("{import}:{basis}"));
         Self {
             merged: credit.is_some_and(|credit| credit.merged),
             credit: credit.and_then(|credit| credit.author.as_deref()),

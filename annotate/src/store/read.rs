@@ -125,13 +125,6 @@ impl Store {
         self.read(|tx| accepted(tx, from, params![keys.after, keys.up_to]))
     }
 
-    /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME`, `import`, or `import:` and
-    /// how another store had accepted them.
-    pub fn accepted_by(&self) -> Result<Vec<(String, i64)>> {
-        let sql = "SELECT basis, COUNT(*) FROM accepted GROUP BY basis ORDER BY basis";
-        self.read(|tx| tx.list(sql, &[]))
-    }
-
     /// Keys of the tasks that were reopened and are not accepted now, each with whether it was accepted when entry `seq`
     /// was the last of the log.
     pub fn reopened(&self, seq: i64) -> Result<BTreeMap<String, bool>> {
@@ -300,6 +293,19 @@ pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answe
     tx.find("SELECT answer FROM accepted WHERE task = ?1", params![task])
 }
 
+/// The known answer of a gold or practice task: the answer that is accepted now of the task that it is a copy of, or,
+/// while there is none, the one that it was made with.
+pub(super) fn known_answer(tx: &mut dyn Tx, task: &TaskRecord) -> Result<Option<Answer>> {
+    let Some(first) = &task.gold else {
+        return Ok(None);
+    };
+    // The key of a copy is `gold:` or `practice:`, and the key of that task.
+    let key = task.key.split_once(':').map_or("", |(_, key)| key);
+    let sql = "SELECT a.answer FROM task o JOIN accepted a ON a.task = o.id WHERE o.key = ?1";
+    let accepted: Option<Answer> = tx.find(sql, params![key])?;
+    Ok(Some(accepted.unwrap_or_else(|| first.clone())))
+}
+
 /// All answers that a task ever had: imported, submitted and merged ones.
 pub(super) fn answers_ever(tx: &mut dyn Tx, task: i64) -> Result<Vec<Answer>> {
     let sql = "SELECT body FROM event WHERE task = ?1 AND kind IN ('imported', 'filled', 'submitted', 'merged')";
@@ -463,15 +469,24 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
 
 /// Accepted answers `a` to tasks `t`, selected by an SQL `FROM` clause.
 fn accepted(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<AcceptedAnswer>> {
-    let basis = "CASE WHEN a.basis LIKE 'import:%' THEN substr(a.basis, 8) ELSE a.basis END";
-    let columns = format!("a.author, a.merged, a.credit, {basis}, a.answer, a.at, a.seq");
+    let basis = "CASE WHEN a.basis LIKE 'import:%' THEN substr(a.basis, 8)
+                      WHEN a.basis LIKE 'import.dataset:%' THEN substr(a.basis, 16)
+                      WHEN a.basis = 'import.dataset' THEN 'import' ELSE a.basis END";
+    let columns = format!(
+        "a.author, a.merged, a.credit, {basis}, a.answer, a.at, a.seq,
+         CASE WHEN a.basis LIKE 'import.dataset%' THEN 1 ELSE 0 END, a.basis"
+    );
     tx.list(&format!("SELECT {TASK}, {columns} FROM {from}"), params)
 }
 
 /// SQL for labels that match a condition, after the given columns.
 fn labels(columns: &str, condition: &str) -> String {
+    let returned = concerns_answer("r.author");
     format!(
-        "SELECT {columns} r.task, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.source, {REVISION}, r.blind,
+        "SELECT {columns} r.task, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END,
+           COALESCE((SELECT m.frames FROM motion m WHERE m.hash = t.source), 1), {REVISION}, r.blind,
+           CASE WHEN EXISTS (SELECT 1 FROM review v WHERE v.task = r.task AND v.decision = 'returned' AND {returned})
+             THEN 1 ELSE 0 END,
            a.basis FROM task t JOIN revision r ON r.task = t.id
          LEFT JOIN accepted a ON a.task = r.task AND a.author = r.author AND a.merged = 0 AND r.state = 'accepted'
          WHERE r.state <> 'draft' AND {condition}"

@@ -109,6 +109,9 @@ pub struct Credit {
     /// How the answer was accepted: `review`, `own` or `rule:NAME`.
     #[serde(default)]
     pub accepted_by: Option<String>,
+    /// Whether it is a label of the dataset, whose exports leave it as the dataset has it then.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub of_dataset: bool,
 }
 
 /// A suggestion to be stored.
@@ -159,7 +162,7 @@ pub struct TaskRecord {
     pub style: Option<String>,
     /// Answers wanted.
     pub wanted: u32,
-    /// The known answer of a gold task.
+    /// The known answer of a gold or practice task when it was made.
     pub gold: Option<Answer>,
     /// Unknown fields of the source file.
     pub extra: Option<serde_json::Value>,
@@ -231,12 +234,14 @@ pub struct Label {
     pub kind: TaskKind,
     /// Whether the task is a gold task.
     pub gold: bool,
-    /// Hash of its first motion.
-    pub source: String,
+    /// Number of frames of its first motion; 1 for an unknown motion.
+    pub frames: i64,
     /// The answer.
     pub revision: Revision,
     /// Whether suggestions were withheld.
     pub blind: bool,
+    /// Whether a reviewer ever returned an answer of its author to the task.
+    pub returned: bool,
     /// How the answer was accepted: `review`, `own`, `rule:NAME`. Only exports read it.
     pub accepted_by: Option<String>,
 }
@@ -260,6 +265,10 @@ pub struct AcceptedAnswer {
     pub at: Millis,
     /// Sequence number in the log.
     pub seq: i64,
+    /// Whether it is a label of the dataset that nobody has judged here.
+    pub of_dataset: bool,
+    /// As `accepted_by`, with `import:` or `import.dataset:` before what the imported file says.
+    pub basis: String,
 }
 
 /// A dropped or skipped task.

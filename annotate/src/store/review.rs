@@ -6,15 +6,14 @@ use super::entry::{Body, Entry};
 use super::leases::Turn;
 use super::log::Request;
 use super::records::{Millis, ReviewDetail, TaskRecord};
-use super::settings::has_up_to;
 use super::store::Store;
 use super::{apply, leases, project, read, rows};
 use crate::answer;
 use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
-    Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
-    RevisionState, TaskKind, TaskState,
+    Code, Decision, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision, RevisionState,
+    TaskKind, TaskState,
 };
 
 impl Store {
@@ -340,12 +339,11 @@ fn log_kind(decision: Decision) -> LogKind {
     }
 }
 
-/// The trimmed comment of a decision. It must not be too long, nor empty if it is needed; the error says that `readers`
-/// need it.
+/// The trimmed comment of a decision. It must be a valid text, and not empty if it is needed; the error says that
+/// `readers` need it.
 pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
     let comment = text.trim().to_owned();
-    let is_short = has_up_to(&comment, MAX_TEXT_CHARS);
-    require(is_short, "comment", "the comment is too long")?;
+    answer::check_text("comment", &comment)?;
     let problem = format!("write a comment; the {readers} and the log need it");
     require(!is_needed || !comment.is_empty(), "comment", problem)?;
     Ok(comment)

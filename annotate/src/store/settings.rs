@@ -1,6 +1,7 @@
 //! Checks of new settings.
 
 use super::db::Result;
+use crate::answer::check_text;
 use crate::error::require;
 use crate::wire::{
     MAX_GUIDELINE_CHARS, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
@@ -56,7 +57,9 @@ fn check_numbers(settings: &Settings) -> Result<()> {
 }
 
 fn check_names(settings: &Settings) -> Result<()> {
-    let problem = format!("the project needs a name of up to {MAX_NAME_CHARS} characters");
+    let problem = format!(
+        "the project needs a name of up to {MAX_NAME_CHARS} characters, without control characters"
+    );
     require(is_name(&settings.name), "name", problem)?;
     check_styles(&settings.styles)?;
     for (field, names) in [
@@ -65,15 +68,18 @@ fn check_names(settings: &Settings) -> Result<()> {
         ("style_templates", &settings.style_templates),
     ] {
         let are_names = names.len() <= MAX_NAMES && names.iter().all(|name| is_name(name));
-        let problem = format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters");
+        let problem = format!(
+            "use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters, without control characters"
+        );
         require(are_names, field, problem)?;
     }
     Ok(())
 }
 
-/// Whether a text can be a name: it is not blank, and short enough for a button.
+/// Whether a text can be a name: it is a valid text, not blank, and short enough for a button.
 pub(super) fn is_name(text: &str) -> bool {
-    !text.trim().is_empty() && has_up_to(text, MAX_NAME_CHARS)
+    let is_short = has_up_to(text, MAX_NAME_CHARS);
+    is_short && !text.trim().is_empty() && check_text("name", text).is_ok()
 }
 
 /// Whether a text has at most `most` characters.
@@ -93,7 +99,9 @@ fn check_styles(styles: &[Style]) -> Result<()> {
     require(styles.len() <= MAX_STYLES, most)?;
     for (index, style) in styles.iter().enumerate() {
         let name = &style.name;
-        let problem = format!("name each style in up to {MAX_NAME_CHARS} characters");
+        let problem = format!(
+            "name each style in up to {MAX_NAME_CHARS} characters, without control characters"
+        );
         require(is_name(name), problem)?;
         let is_first = styles[..index].iter().all(|other| other.name != *name);
         require(is_first, format!("two styles are called {name:?}"))?;
@@ -188,13 +196,14 @@ mod tests {
             ..Settings::default()
         };
         assert!(check(&Settings::default()).is_ok() && check(&good).is_ok());
-        let broken: [fn(&mut Settings); 17] = [
+        let broken: [fn(&mut Settings); 18] = [
             |settings| settings.gold_percent = 101,
             |settings| settings.answers_per_task = 0,
             |settings| settings.lease_minutes = 0,
             |settings| settings.min_masks = 5,
             |settings| settings.edit_type_quota = [(EditType::Speed, MAX_QUOTA + 1)].into(),
             |settings| settings.styles = vec![Style::default()],
+            |settings| settings.styles = vec![Style::named("a\u{0}b")],
             |settings| settings.styles.push(Style::named("old")),
             |settings| settings.styles[0].colour = Some("red".to_owned()),
             |settings| settings.styles[0].guideline = "x".repeat(MAX_GUIDELINE_CHARS + 1),

@@ -32,7 +32,7 @@ pub fn from_annotations(
     let rows = read_rows::<AnnotationRow>(path)?.into_iter();
     let mut groups = grouped(rows.map(|row| (row.task.clone(), row)));
     let mut taken = Taken::default();
-    let (mut tasks, mut by_id) = (Vec::new(), 0);
+    let (mut tasks, mut past, mut by_id) = (Vec::new(), Vec::new(), 0);
     let is_known = |row: &AnnotationRow| {
         let mut named = std::iter::once(&row.motion_id).chain(&row.target_id);
         named.all(|id| motions.contains_key(id))
@@ -55,10 +55,29 @@ pub fn from_annotations(
         group.sort_by_key(|row| row.number);
         let what = || format!("task {:?} of {}", group[0].task, path.display());
         let task = check_whole(&group).and_then(|()| annotation_task(&group, &motions));
-        tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
-        by_id += usize::from(group[0].motion_hash.is_none());
+        let task = task.map_err(|problem| Error::import(what(), problem))?;
+        let masks = task
+            .accepted
+            .as_ref()
+            .map_or(&[][..], |answer| answer.fields().masks);
+        let frames = motions[&group[0].motion_id].frames;
+        match crate::mask::check_ranges(masks, frames) {
+            Ok(()) => {
+                tasks.push(task);
+                by_id += usize::from(group[0].motion_hash.is_none());
+            }
+            Err(problem) => past.push(format!("{}: {problem}", task.key)),
+        }
     }
     taken.take(store.import(actor, tasks, now)?);
+    taken.report("answers_past_the_clip", past.len(), || {
+        format!(
+            "{} answers have masks that do not fit their clips, which may have been ingested again since, and are left out, \
+             for example {}",
+            past.len(),
+            past[0]
+        )
+    });
     taken.report("found_by_id_alone", by_id, || {
         format!(
             "the motions of {by_id} answers were found by their ids alone: the file is of an earlier version, without \
@@ -98,9 +117,7 @@ fn annotation_task(
     new.extra = extra.transpose().map_err(|error| error.to_string())?;
     rows.iter().try_for_each(check_masks)?;
     let answer = answer(rows, kind)?;
-    crate::answer::check_draft(&answer, kind)
-        .and_then(|()| crate::mask::check_ranges(answer.fields().masks, source.frames))
-        .map_err(|error| error.to_string())?;
+    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
     let accepted_by = first.accepted_by.as_deref();
     new.credit = credit(&first.author, first.merged != 0, accepted_by);

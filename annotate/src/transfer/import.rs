@@ -171,6 +171,15 @@ pub fn from_dataset(
     for (name, list) in takes {
         tasks.extend(bundled(&name, list));
     }
+    for task in tasks.iter_mut().filter(|task| task.accepted.is_some()) {
+        let none = || Credit {
+            author: None,
+            merged: false,
+            accepted_by: None,
+            of_dataset: true,
+        };
+        task.credit.get_or_insert_with(none).of_dataset = true;
+    }
     let total = tasks.len() as i64;
     let (mut seen, mut others, mut conflicts) = (0, Vec::new(), Vec::new());
     for chunk in tasks.chunks(2000) {
@@ -558,6 +567,7 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
         author: is_pseudonym.then(|| author.to_owned()),
         merged,
         accepted_by: accepted_by.map(str::to_owned),
+        of_dataset: false,
     })
 }
 

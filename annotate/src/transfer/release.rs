@@ -50,11 +50,16 @@ pub fn from_release(
         let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
         new.extra = said.extra;
         new.credit = credit("", false, said.accepted_by.as_deref());
-        new.accepted = Some(Answer::MaskText {
-            masks: said.masks,
-            count_reason: None,
-            note: String::new(),
-        });
+        // What is not understood is no judgement that the clip has no masks.
+        if said.is_judgement {
+            new.accepted = Some(Answer::MaskText {
+                masks: said.masks,
+                count_reason: None,
+                note: String::new(),
+            });
+        } else {
+            taken.count("entries_not_understood", 1);
+        }
         tasks.push(new);
     }
     for pair in parsed.pairs {
@@ -106,6 +111,8 @@ fn released_pair(
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Said {
     masks: Vec<MaskAnswer>,
+    /// Whether the entry names masks that are known, or says that the motion has none.
+    is_judgement: bool,
     /// Unknown fields, kept for export.
     extra: Option<Value>,
     /// How the annotations were accepted, if the file says so.
@@ -316,6 +323,8 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
         read.masks.extend(masks);
     }
     read.extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
+    let has_none = matches!(masks, Value::Array(names) if names.is_empty());
+    read.is_judgement = !read.masks.is_empty() || (has_none && problems.is_empty());
     (read, problems)
 }
 
@@ -354,11 +363,17 @@ mod tests {
     #[test]
     fn what_is_not_understood_is_reported_and_kept() {
         let document = json!({
-            "mask_all": {"a": ["LEFT_ARM", "TAIL"], "b": ["HEAD"], "c": ["HEAD", "TORSO"]},
-            "part_annotations": {"a": ["waving", "wagging"], "d": {"HEAD": "nodding"}, "c": [1, 2, 3]},
+            "mask_all": {
+                "a": ["LEFT_ARM", "TAIL"], "b": ["HEAD"], "c": ["HEAD", "TORSO"], "e": ["left hand"], "f": null,
+            },
+            "part_annotations": {
+                "a": ["waving", "wagging"], "d": {"HEAD": "nodding"}, "c": [1, 2, 3], "e": ["waving"], "f": "waving",
+            },
         });
         let release = parse(&document).expect("an object");
         assert_eq!(release.motions["a"].masks.len(), 1);
+        assert!(release.motions["a"].is_judgement && !release.motions["e"].is_judgement);
+        assert!(!release.motions["f"].is_judgement);
         let kept = &release.motions["c"];
         assert_eq!(kept.masks.len(), 2);
         for problem in ["TAIL", "1 ids have masks but no texts"] {
@@ -383,6 +398,7 @@ mod tests {
         });
         let mut written = json!({ "mask_all": {}, "part_annotations": {} });
         for (id, said) in parse(&document).expect("an object").motions {
+            assert!(said.is_judgement, "{id}");
             let (masks, texts) = entries(&said.masks, said.extra.as_ref());
             written["mask_all"][&id] = masks;
             written["part_annotations"][&id] = texts;

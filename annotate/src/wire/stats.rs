@@ -69,12 +69,13 @@ messages! {
         pub parts: Vec<PartAgreement>,
         /// Mean Jaccard index of the joints and frames of masks.
         pub jaccard: Option<Estimate>,
-        /// The same mean, between answers to different tasks: the value that answers reach without looking at the clip.
+        /// The same mean, between answers to different tasks as if their clips were equally long: the value that answers
+        /// reach without looking at the clip.
         pub jaccard_chance: Option<f64>,
         pub verdicts: Option<PartAgreement>,
         /// Tasks with two answers or more, without gold tasks.
         pub shared_items: usize,
-        /// Share of the decided answers that were accepted unchanged; the others were returned or superseded.
+        /// Share of the decided answers that were accepted unchanged; the others were returned at some time, or superseded.
         pub accepted_share: Option<Estimate>,
         /// Mean edit distance of the texts from their drafts, 0 to 1; `null` only without such texts.
         pub draft_distance: Option<f64>,

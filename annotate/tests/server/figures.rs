@@ -11,11 +11,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use annotate::store::{Store, TaskDetail, open_sqlite};
+use annotate::store::{MotionRecord, NewTask, Store, TaskDetail, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
-    Answer, DayWork, Decision, EventKind, Funnel, Me, NewEvent, NewReview, ReviewQueue, Role, Rule,
-    RuleKind, Settings, SettingsChange, TaskKind, Verdict,
+    Agreement, Answer, DayWork, Decision, EventKind, Funnel, Me, NewEvent, NewReview, ReviewQueue,
+    Role, Rule, RuleKind, Settings, SettingsChange, TaskKind, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
@@ -23,8 +23,8 @@ use serde_json::{Value, json};
 
 use crate::store::on_each;
 use crate::support::{
-    DAY, HOUR, MINUTE, START, Site, claim, dataset, decision, event_of, from_json, masks, pair,
-    review, rule, tell, whole,
+    CLIPS, DAY, HOUR, MINUTE, START, Site, bare_motion, bare_task, claim, dataset, decision,
+    event_of, from_json, masks, pair, review, rule, tell, whole,
 };
 
 /// Tuesday 2023-11-14, midnight UTC: `START` is in the evening of this day.
@@ -99,6 +99,87 @@ fn agreement_is_told_for_the_week_of_the_last_answer() {
     assert!((0.5..1.0).contains(&mean), "{mean}");
     assert_eq!(weeks[0].1, 2, "two tasks are shared in this week");
     assert_eq!(weeks[1..], [(Some(0.5), 2), (None, 0)]);
+}
+
+/// Mask tasks of [`many_masks`].
+const MANY: usize = 2 * CLIPS;
+
+/// A server with [`MANY`] mask tasks about clips of 40 and of 90 frames.
+fn many_masks() -> Site {
+    let site = Site::new();
+    let longer = MotionRecord {
+        hash: "longer".to_owned(),
+        id: "longer".to_owned(),
+        frames: 90,
+        ..bare_motion()
+    };
+    let motions = site.store.put_motions(vec![bare_motion(), longer]);
+    motions.expect("motions");
+    let tasks = (CLIPS..MANY).map(|number| NewTask {
+        source: ["hash", "longer"][number % 2].to_owned(),
+        ..bare_task(number, TaskKind::MaskText)
+    });
+    let imported = site.store.import(None, tasks.collect(), START);
+    imported.expect("tasks");
+    site
+}
+
+/// Has a person answer the next mask task.
+fn answer_next(site: &Site, person: i64, answer: impl FnOnce(&TaskDetail) -> Answer) {
+    let detail = claim(&site.store, person, TaskKind::MaskText, START).expect("a task");
+    let submitted = event_of(&detail, EventKind::Submit, answer(&detail));
+    tell(&site.store, person, detail.task.id, submitted, START);
+}
+
+#[test]
+fn a_mask_of_the_whole_clip_is_like_one_without_a_range_in_every_figure() {
+    let site = many_masks();
+    site.set(|settings| settings.answers_per_task = 2);
+    let [ann, bob, eve] = site.people(["ann", "bob", "eve"]);
+    for person in [ann.user.id, bob.user.id] {
+        for number in 0..MANY {
+            answer_next(&site, person, |detail| {
+                let frames = match detail.task.source.as_str() {
+                    "longer" => 90,
+                    _ => 40,
+                };
+                let range = (number % 4 < 2).then_some([0, frames]);
+                let arm = json!({ "parts": ["LEFT_ARM"], "range": range, "text": "waving" });
+                from_json(json!({
+                    "kind": "mask_text", "masks": [arm], "count_reason": "single_action",
+                }))
+            });
+        }
+    }
+    let found: Agreement = eve.get("stats/agreement").ok();
+    assert_eq!(found.shared_items, MANY);
+    assert_eq!(found.jaccard.map(|found| found.value), Some(1.0));
+    assert_eq!(found.jaccard_chance, Some(1.0), "all masks are the same");
+}
+
+#[test]
+fn an_answer_that_was_returned_was_not_accepted_unchanged() {
+    let site = many_masks();
+    let [ann, eve] = site.people(["ann", "eve"]);
+    let answer = |text: &str| answer_next(&site, ann.user.id, |_| masks(text));
+    let decide = |what: Decision| {
+        let queue = ReviewQueue::Sample;
+        let next = review(&site.store, eve.user.id, queue, START).expect("an answer");
+        let decided = decision(next.task.id, next.lease.epoch, what);
+        let done = site.store.review(eve.user.id, decided, START);
+        done.expect("decides");
+    };
+    for number in 0..MANY {
+        answer("waving");
+        if number % 4 == 0 {
+            decide(Decision::Return);
+            answer("swinging");
+        }
+        decide(Decision::Accept);
+    }
+    let found: Agreement = eve.get("stats/agreement").ok();
+    let share = found.accepted_share.expect("enough answers");
+    assert_eq!((share.value, share.items), (0.75, MANY));
 }
 
 /// Texts that people write about parts of a clip without a drafted text.

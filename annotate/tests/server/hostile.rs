@@ -1,6 +1,9 @@
 //! Hostile input: requests, imports and names.
 
-use annotate::wire::{Code, EventKind, Job, TaskKind, TaskView};
+use annotate::wire::{
+    Code, Decision, EventKind, Job, NewEvent, SkipReason, Style, TaskKind, TaskView,
+};
+use serde_json::json;
 
 use crate::support::{Site, event, masks};
 use crate::transfer::finished;
@@ -30,6 +33,54 @@ fn texts_are_kept_as_they_are_unless_they_are_too_long_or_hold_control_character
     let again: TaskView = answered.ok();
     assert_eq!(again.mine.expect("a draft").answer, masks(nasty));
     site.whole();
+}
+
+#[test]
+fn no_route_takes_control_characters() {
+    const NUL: &str = "a\u{0}b";
+    let site = Site::new();
+    let [ann, eve, boss] = site.people(["ann", "eve", "boss"]);
+    for path in [
+        "tasks?q=%00",
+        "tasks?category=a%00b",
+        "tasks?split=%00",
+        "tasks?rule=%1b",
+        "tasks?part=%7F",
+        "shelf?q=%00",
+        "motions/partners?of=%00",
+        "motions/%00/joints",
+        "guide/pictures/%00",
+    ] {
+        assert_eq!(boss.get(path).code(), Code::BadRequest, "{path}");
+    }
+    assert_eq!(boss.get("tasks?q=a%09b%0Ac%2500&limit=5").status, 200);
+
+    let task = ann.answer(masks("waving"));
+    let review = eve.review().expect("a task to review");
+    let note = json!({ "comment": NUL });
+    let returned = eve.decide(task, review.lease.epoch, Decision::Return, note);
+    let view = ann.claim(TaskKind::MaskText);
+    let lease = view.lease.as_ref().expect("a lease").epoch;
+    let skip = NewEvent {
+        reason: Some(SkipReason::Other),
+        note: NUL.to_owned(),
+        ..event(EventKind::Skip, lease, 0, None)
+    };
+    let skipped = ann.tell(&view, skip).problem.expect("a problem");
+    assert_eq!(skipped.code, Code::Invalid);
+    let was = site.store.settings().expect("settings");
+    let mut now = was.clone();
+    now.styles.push(Style::named(NUL));
+    let filtered = json!({ "filter": { "category": NUL }, "action": "accept" });
+    let cells = json!({ "cells": [{ "motion": "clip00", "style": NUL, "takes": 1 }] });
+    for refused in [
+        returned,
+        boss.put_settings(&was, &now),
+        boss.post("bulk/preview", &filtered),
+        boss.put("captures", &cells),
+    ] {
+        assert_eq!(refused.code(), Code::Invalid);
+    }
 }
 
 #[test]

@@ -7,7 +7,8 @@ use annotate::store::{MotionRecord, NewTask, PageQuery, TokenUse};
 use annotate::transfer::export;
 use annotate::wire::{
     Answer, BulkAction, BulkDone, BulkRequest, Code, Decision, EventKind, ExportFormat, MyAnswer,
-    ReviewQueue, Role, Rule, RuleKind, Standing, TaskKind, TaskRow, TaskSort, TaskState, Verdict,
+    NewReview, ReviewQueue, Role, Rule, RuleKind, Standing, TaskKind, TaskRow, TaskSort, TaskState,
+    Verdict,
 };
 use serde_json::{Value, json};
 
@@ -694,6 +695,58 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
         assert_eq!(answers, 1, "that of Bob");
         assert_eq!(site.found(json!({})).len(), 4, "no practice task");
     });
+}
+
+#[test]
+fn gold_and_practice_follow_the_answer_of_the_task_that_they_are_copies_of() {
+    let check = |site: &Fixture, practice: bool| {
+        let task = site.hand_in(site.ann, waving());
+        site.judge(Decision::Accept);
+        let copy = if practice {
+            let copy = site.store.make_practice(ROOT, task, START);
+            copy.expect("a practice task")
+        } else {
+            site.make_gold(task)
+        };
+        site.set(|settings| {
+            settings.practice_tasks = practice.into();
+            settings.gold_percent = if practice { 0 } else { 100 };
+        });
+        // While the task has no accepted answer, nobody gets its copy.
+        site.reopen(task);
+        assert_ne!(site.take(site.bob), copy);
+        // Once a reviewer has corrected the answer, the copy is scored by the new one.
+        let right = from_json::<Answer>(json!({
+            "kind": "mask_text", "masks": [{ "parts": ["RIGHT_ARM"], "text": "waving" }],
+            "count_reason": "single_action",
+        }));
+        let (_, epoch) = site.review();
+        let merge = NewReview {
+            answer: Some(right.clone()),
+            ..decision(task, epoch, Decision::Merge)
+        };
+        let merged = site.store.review(site.eve, merge, site.now());
+        assert_eq!(merged.expect("merges").state, TaskState::Accepted);
+        let zoe = site.join("zoe", Role::Annotator);
+        assert_eq!(site.take(zoe), copy);
+        let result = site.tell(zoe, copy, EventKind::Submit, 0, right.clone());
+        assert_eq!(result.status, 200, "{:?}", result.problem);
+        assert_eq!(result.feedback, site.own(zoe, copy).feedback);
+        if practice {
+            let feedback = result.feedback.expect("feedback");
+            assert_eq!((feedback.score, feedback.known), (1.0, right));
+        } else {
+            assert_eq!(site.person(zoe).gold_score, Some(1.0));
+        }
+        // The copy of a dropped task is not given either.
+        site.reopen(task);
+        let dropped = site.decide(task, 0, Decision::Drop);
+        assert_eq!(dropped, Ok(TaskState::Dropped));
+        let yan = site.join("yan", Role::Annotator);
+        assert_ne!(site.take(yan), copy);
+    };
+    each("gold_copies", mask_tasks(4), |site| check(site, false));
+    each("practice_copies", mask_tasks(4), |site| check(site, true));
 }
 
 #[test]

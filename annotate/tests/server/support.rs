@@ -279,7 +279,11 @@ pub(crate) fn serve(
         model: None,
         patience: PATIENCE,
         upload_patience: UPLOAD_PATIENCE,
-        clock: Arc::new(move || hands.now()),
+        clock: Arc::new(move || {
+            // As with PostgreSQL, whose driver waits in a runtime of its own: that panics inside of a future.
+            let runtime = tokio::runtime::Builder::new_current_thread().build();
+            runtime.expect("a runtime").block_on(async { hands.now() })
+        }),
         log: |text| panic!("the server reports a defect: {text}"),
     };
     change(&mut config);

@@ -442,7 +442,26 @@ fn a_job_exports_files_to_download_and_splits_are_kept_apart() {
         ..selection(ExportFormat::Parquet)
     };
     let run = |what: &ExportRequest| export(&site.store, &site.dataset, &folder, what, "test");
-    run(&only).expect("exports");
+    // Only the answers of the chosen splits are counted, each once.
+    let accepted = |done: &Exported| -> Vec<(String, i64)> {
+        let mut counts = done.counts.clone();
+        counts.retain(|name, _| name.starts_with("accepted_by "));
+        counts.into_iter().collect()
+    };
+    let by_review = [("accepted_by review".to_owned(), 6_i64)];
+    for format in [
+        ExportFormat::Csv,
+        ExportFormat::Stance,
+        ExportFormat::Parquet,
+    ] {
+        let all = run(&selection(format)).expect("exports");
+        assert_eq!(accepted(&all), by_review, "{format}");
+        let none = run(&ExportRequest {
+            format,
+            ..only.clone()
+        });
+        assert!(accepted(&none.expect("exports")).is_empty(), "{format}");
+    }
     let rows: Vec<AnnotationRow> = rows(&folder, "annotations");
     assert!(rows.is_empty(), "all answers are of the training split");
     // A pair of a training and a test clip is left out.
@@ -461,6 +480,7 @@ fn a_job_exports_files_to_download_and_splits_are_kept_apart() {
     imported.expect("a task");
     let done = run(&selection(ExportFormat::Parquet)).expect("exports");
     assert_eq!(done.counts["pairs_across_splits"], 1);
+    assert_eq!(accepted(&done), by_review);
     let rows: Vec<AnnotationRow> = self::rows(&folder, "annotations");
     assert!(
         rows.iter()
@@ -585,11 +605,31 @@ fn projects_that_judge_a_pair_differently_say_so_at_each_export() {
     };
     let first = site.store.as_ref();
     let second = fresh_store(&site, "second.sqlite");
+    let third = fresh_store(&site, "third.sqlite");
     judge(&second, "pair:fine-grained0", Verdict::Unnatural);
+    let mut said = pair(Verdict::Keep);
+    if let Answer::Pair { text, .. } = &mut said {
+        "another text".clone_into(text);
+    }
+    let task = task_of(&third, "pair:fine-grained0");
+    let worded = NewTask {
+        key: task.key,
+        source: task.source,
+        target: task.target,
+        accepted: Some(said),
+        ..bare_task(0, TaskKind::Pair)
+    };
+    third.import(None, vec![worded], START).expect("imports");
     assert_eq!(counted(first), [0, 0]);
     assert_eq!(counted(&second), [0, 1]);
     assert_eq!(counted(first), [1, 0]);
     assert_eq!(counted(first), [0, 0], "nobody judged in between");
+    assert_eq!(counted(&second), [0, 1]);
+    assert_eq!(counted(first), [1, 0]);
+    let reworded =
+        |store: &Store| commit_answers(&site, store).counts["pairs_reworded_over_others"];
+    assert_eq!(reworded(&third), 1);
+    assert_eq!(reworded(first), 1);
     assert_eq!(counted(&second), [0, 1]);
 
     // The manifest names the pairs that people rejected, and candidates are none yet.
@@ -754,10 +794,12 @@ fn an_answer_about_other_clips_than_the_task_of_its_key_fills_no_task() {
             .collect()
     };
     assert_eq!(clips(pair_rows(&site)), clips(of_second));
-    // A new project has the tasks about these clips.
+    // A new project has the tasks about these clips, as labels of the dataset, for which the table names the authors.
     let third = fresh_store(&site, "third.sqlite");
-    let taken = take(&third, &table);
-    assert_eq!(counted(&taken, ["known_tasks", "conflicts"]), [2, 0]);
+    for (name, count) in [("filled_tasks", 2), ("known_tasks", 3)] {
+        let taken = take(&third, &table);
+        assert_eq!(counted(&taken, [name, "conflicts"]), [count, 0], "{name}");
+    }
     assert_eq!(answers(&third), answers(&second));
     whole(store);
 }

@@ -118,6 +118,11 @@ impl Motion {
         self.fps
     }
 
+    /// Replaces the frame rate; the frames stay as they are.
+    pub fn set_fps(&mut self, fps: Fps) {
+        self.fps = fps;
+    }
+
     /// Number of frames, at least one.
     #[expect(clippy::len_without_is_empty, reason = "a motion is never empty")]
     pub fn len(&self) -> usize {

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::rows::MaskRow;
-use crate::Error;
+use crate::{Error, Fps};
 
 /// The range of frames that two columns of a row state: `start`, the first frame, and `end`, one past the last. `None`
 /// if both are missing.
@@ -39,27 +39,33 @@ pub(super) fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<us
 }
 
 impl MaskRow {
-    /// Length in frames of the shortest range that a mask may hold for. It is the span of a training window of every
-    /// preset, 16 frames at 10 fps (paper Sec. 5.1), at the stored 20 fps.
+    /// [`MaskRow::shortest`] at 20 fps.
     pub const SHORTEST: i32 = 31;
+
+    /// Length in frames of the shortest range that a mask may hold for, of a motion of this rate. It is the span of a
+    /// training window of every preset, 16 frames at 10 fps (paper Sec. 5.1). At rates that no window fits, it is the
+    /// time of [`MaskRow::SHORTEST`].
+    pub fn shortest(fps: Fps) -> i32 {
+        const STEPS: f64 = 15.0;
+        let stride = fps.get() / Fps::MODEL.get();
+        let frames = match stride.fract() == 0.0 {
+            true => STEPS * stride + 1.0,
+            false => (f64::from(Self::SHORTEST) / Fps::STORE.get() * fps.get()).ceil(),
+        };
+        frames as i32
+    }
 
     /// The range of frames that the mask holds for; `None` if it holds for the whole motion.
     ///
     /// # Errors
-    /// As [`range_of`], or the range is shorter than [`MaskRow::SHORTEST`].
+    /// As [`range_of`].
     pub fn range(&self) -> Result<Option<Range<usize>>, Error> {
-        let (range, shortest) = (range_of(self.start, self.end)?, Self::SHORTEST as usize);
-        match range.as_ref().map(Range::len) {
-            Some(frames) if frames < shortest => Err(Error::Refused(format!(
-                "a mask holds for {frames} frames, and a training window spans {shortest}; make its range that long"
-            ))),
-            _ => Ok(range),
-        }
+        range_of(self.start, self.end)
     }
 
     /// Moves the range when the motion is cut or resampled: `place` maps a frame of the old motion to one of the new motion,
-    /// which has `len` frames. Returns whether enough frames are left ([`MaskRow::SHORTEST`]).
-    pub fn move_range(&mut self, len: usize, place: impl Fn(f64) -> f64) -> bool {
+    /// which has `len` frames of rate `fps`. Returns whether enough frames are left ([`MaskRow::shortest`]).
+    pub fn move_range(&mut self, len: usize, fps: Fps, place: impl Fn(f64) -> f64) -> bool {
         let Some((start, end)) = self.start.as_mut().zip(self.end.as_mut()) else {
             return true;
         };
@@ -67,7 +73,7 @@ impl MaskRow {
         for frame in [&mut *start, &mut *end] {
             *frame = (place(f64::from(*frame)).round() as i32).clamp(0, len);
         }
-        *end - *start >= Self::SHORTEST
+        *end - *start >= Self::shortest(fps)
     }
 
     /// The frames that the mask holds for, of its motion of `len` frames.
@@ -76,5 +82,42 @@ impl MaskRow {
     /// As [`MaskRow::range`], or the range ends after the motion.
     pub fn frames(&self, len: usize) -> Result<Range<usize>, Error> {
         within(self.range()?, len)
+    }
+
+    /// Like [`MaskRow::frames`], of a motion of this rate.
+    ///
+    /// # Errors
+    /// As [`MaskRow::frames`], or the range is shorter than [`MaskRow::shortest`].
+    pub fn frames_at(&self, len: usize, fps: Fps) -> Result<Range<usize>, Error> {
+        let frames = self.frames(len)?;
+        let shortest = Self::shortest(fps);
+        match self.start {
+            Some(_) if frames.len() < shortest as usize => Err(Error::Refused(format!(
+                "a mask holds for {} frames, and a training window spans {shortest}; make its range that long",
+                frames.len()
+            ))),
+            _ => Ok(frames),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shortest_range_spans_a_window_at_every_rate() {
+        for (fps, frames) in [
+            (10.0, 16),
+            (20.0, 31),
+            (30.0, 46),
+            (12.5, 20),
+            (15.0, 24),
+            (29.97, 47),
+        ] {
+            let fps = Fps::new(fps).expect("a rate");
+            assert_eq!(MaskRow::shortest(fps), frames, "{fps}");
+        }
+        assert_eq!(MaskRow::shortest(Fps::STORE), MaskRow::SHORTEST);
     }
 }

@@ -57,7 +57,7 @@ table! {
         pub body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
         /// native, retargeted or fitted
         pub rotation_source: String [""],
-        /// Mean distance between source and stored joints after retargeting or fitting
+        /// Mean distance between source joints, scaled to the body's bones, and stored ones after retargeting or fitting
         pub fit_error_m: Option<f32> ["m"],
         /// Descriptions of the clip, each with its time range
         pub captions: Vec<Caption> ["s"],

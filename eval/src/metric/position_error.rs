@@ -14,8 +14,8 @@ use super::definition::{Better, Measure, Metric, MotionSample, Part};
 pub static POSITION_ERROR: Metric = Metric {
     name: "Position error (cm)",
     about: "mean distance to the target's 28 keypoints, with --keypoints 22 over the body joints, both motions placed \
-            by their first frames (pelvis over one point of the ground, hips in one direction); surplus frames of the \
-            longer motion are ignored",
+            by their first frames (pelvis over one point of the ground, hips in one direction); an edit shorter than \
+            its source is held in its last pose, and other surplus frames of the longer motion are ignored",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,

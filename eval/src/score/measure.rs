@@ -298,8 +298,12 @@ impl OfMotions<'_> {
         let (asked, motion, edit) = (subject.asked, &subject.motion, subject.edit);
         let fps = motion.fps();
         let keypoints = self.skeleton.motion_keypoints(motion).points;
+        let found = from_start(&keypoints);
         // An edit has the length of its source; the frames that a shorter one lacks are scored as its last pose.
-        let found = held(from_start(&keypoints), asked.source.len());
+        let found = match edit {
+            Some(_) => held(found, asked.source.len()),
+            None => found,
+        };
         let distances = distances(&found, &asked.of_target.from_start);
         let windows = edit.and_then(windows_of).or(self.windows);
         let seams = windows.map_or_else(Vec::new, |windows| {

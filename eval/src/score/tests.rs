@@ -215,6 +215,31 @@ fn other_takes_make_a_task_with_a_noise_floor() {
 }
 
 #[test]
+fn only_edits_are_held_in_their_last_pose() {
+    let mut items = questions(40);
+    let mut edits = perfect("short", &items);
+    for (index, (row, edit)) in items.iter_mut().zip(&mut edits).enumerate().step_by(4) {
+        // The target moves by 10 cm a frame.
+        let mut poses = [motion(index, "target").pose(0); 8];
+        for (frame, pose) in poses.iter_mut().enumerate() {
+            pose.transl.x = 0.1 * frame as f64;
+        }
+        let source = Motion::from_poses(Fps::STORE, &[motion(index, "source").pose(0); 8]);
+        let target = Motion::from_poses(Fps::STORE, &poses).expect("valid");
+        let half = target.crop(0..4).expect("half of it");
+        row.set_motions(&source.expect("valid"), Some(&target), Some(&half));
+        row.id = row.content_id();
+        *edit = answer("short", row, &half);
+    }
+    let scores = scored(&items, &edits, &Protocol::default()).expect("scores");
+    let of = |system: &str| value(&scores, RECAPTURED, system, &POSITION_ERROR);
+    assert!(of(NOISE_FLOOR) < 1e-9);
+    // 0, 0, 0, 0, 10, 20, 30 and 40 cm.
+    let expected = 100.0 / 8.0;
+    assert!((of("short") - expected).abs() < 1e-3, "{}", of("short"));
+}
+
+#[test]
 fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
     let items = questions(80);
     let edits = [perfect("perfect", &items), lazy("lazy", &items)].concat();

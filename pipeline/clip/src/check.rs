@@ -60,11 +60,12 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
     let (quality, jump) = judge(motion, skeleton)?;
     match jump {
         None => Ok(quality),
-        Some(jump) => Err(jump.rejected()),
+        Some(jump) => Err(jump.rejected(jump.frame)),
     }
 }
 
 /// Like [`check`], with the given handling of jumps. Returns the kept motion, and its frame range if it was trimmed.
+/// `source_frame` gives the frame of the file, which a rejection names, for one of the motion.
 ///
 /// # Errors
 /// As [`check`]; `E-TELEPORT` also if a trimmed motion has fewer than 2 frames.
@@ -72,22 +73,24 @@ pub fn check_with(
     motion: Motion,
     skeleton: &Skeleton,
     teleports: Teleports,
+    source_frame: impl Fn(usize) -> usize,
 ) -> Result<(Motion, Quality, Option<Range<usize>>), Rejected> {
     let (mut quality, jump) = judge(&motion, skeleton)?;
     let Some(jump) = jump else {
         return Ok((motion, quality, None));
     };
+    let rejected = || jump.rejected(source_frame(jump.frame));
     match teleports {
-        Teleports::Quarantine => Err(jump.rejected()),
+        Teleports::Quarantine => Err(rejected()),
         Teleports::Keep => {
             quality.flags |= FLAG_TELEPORT;
             Ok((motion, quality, None))
         }
         Teleports::Trim => {
             let kept = longest_calm_stretch(&motion, skeleton);
-            let trimmed = motion.crop(kept.clone()).map_err(|_| jump.rejected())?;
+            let trimmed = motion.crop(kept.clone()).map_err(|_| rejected())?;
             if trimmed.len() < MIN_FRAMES {
-                return Err(jump.rejected());
+                return Err(rejected());
             }
             let (mut quality, _) = judge(&trimmed, skeleton)?;
             quality.flags |= FLAG_TELEPORT;
@@ -158,14 +161,13 @@ struct Jump {
 }
 
 impl Jump {
-    fn rejected(&self) -> Rejected {
+    fn rejected(&self, frame: usize) -> Rejected {
         Rejected::check(
             "E-TELEPORT",
             format!(
-                "found {} moving at {:.1} m/s into frame {}, expected at most {TELEPORT_SPEED} m/s",
+                "found {} moving at {:.1} m/s into frame {frame}, expected at most {TELEPORT_SPEED} m/s",
                 kinematics::skeleton::JOINT_NAMES[self.joint],
-                self.speed,
-                self.frame
+                self.speed
             ),
         )
     }
@@ -317,7 +319,7 @@ mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let mut motion = sliding(Fps::STORE, 0.1, 50);
         shift(&mut motion, 20..50, [5.0, 0.0, 0.0]);
-        let judge = |teleports| check_with(motion.clone(), &skeleton, teleports);
+        let judge = |teleports| check_with(motion.clone(), &skeleton, teleports, |frame| frame);
         let rejected = judge(Teleports::Quarantine)
             .map(|_| ())
             .expect_err("100 m/s");

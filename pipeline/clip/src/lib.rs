@@ -31,6 +31,9 @@ pub struct SourceClip {
     pub motion: Motion,
     /// The rate of the file.
     pub source_fps: Fps,
+    /// The rate of the motion as its file states it, if that was rounded and HumanML3D's rule for dropping frames counts
+    /// by it.
+    pub stated_fps: Option<Fps>,
     /// Origin of its rotations.
     pub rotation_source: RotationSource,
     /// Mean distance in metres between the joints of the motion and those of the file, scaled to this body's bone
@@ -80,6 +83,7 @@ impl SourceClip {
             rotation_source,
             fit_error_m: None,
             source_fps,
+            stated_fps: None,
             source_frames: 0..num_frames,
             captions: Vec::new(),
             made_captions: Vec::new(),
@@ -101,24 +105,32 @@ impl SourceClip {
 
     /// Source frames per frame of the motion.
     fn stride(&self) -> f64 {
-        let (source, own) = (self.source_fps.get(), self.motion.fps().get());
-        if source != own {
-            return source / own;
-        }
-        // A crop may skip frames and state the resulting rate.
+        const TOLERANCE: f64 = 1e-3;
+        let by_rate = self.source_fps.get() / self.motion.fps().get();
         let (covered, frames) = (self.source_frames.len(), self.motion.len());
         let steps = frames.saturating_sub(1).max(1);
-        (covered.saturating_sub(1) as f64 / steps as f64)
-            .round()
-            .max(1.0)
+        let taken = covered.saturating_sub(1) as f64 / steps as f64;
+        // Interpolated frames cover at least what the rates say. HumanML3D's rule skips a whole number of frames and may
+        // cover less; a clip cut by it may also state the resulting rate as that of its file.
+        match by_rate == 1.0 || taken < by_rate - TOLERANCE {
+            true => taken.round().max(1.0),
+            false => by_rate,
+        }
+    }
+
+    /// The frame of the file that a frame of the motion shows; a fraction lies between two frames.
+    pub fn source_frame(&self, frame: f64) -> usize {
+        let frames = &self.source_frames;
+        let last = frames.end.saturating_sub(1);
+        (frames.start + (frame * self.stride()).round() as usize).min(last)
     }
 
     /// Narrows source frames, captions, masks and features to a part of the motion, and leaves the motion as it is.
     /// `kept` counts in steps of `step` frames of [`SourceClip::motion`].
     ///
-    /// Captions with a time and masks with a range are shifted. A caption without a kept frame becomes a note, as does
-    /// a mask with too few ([`SourceClip::move_masks`]). Features are dropped unless `step` is 1.
-    pub fn narrow(&mut self, kept: &Range<usize>, step: f64) {
+    /// Captions with a time and masks with a range are shifted. A caption without a kept frame becomes a note, and
+    /// a mask with too few a problem of `file` ([`SourceClip::move_masks`]). Features are dropped unless `step` is 1.
+    pub fn narrow(&mut self, kept: &Range<usize>, step: f64, file: &str) {
         let Some(last) = kept.clone().next_back() else {
             return;
         };
@@ -144,7 +156,7 @@ impl SourceClip {
         self.notes.extend(cut_off);
         let first = kept.start as f64 * step;
         let len = (kept.len() as f64 * step).round() as usize;
-        self.move_masks(len, |frame| frame - first);
+        self.move_masks(len, self.motion.fps(), file, |frame| frame - first);
         let stride = step * self.stride();
         let frames = self.source_frames.clone();
         let end = frames.start + (last as f64 * stride).ceil() as usize + 1;
@@ -156,11 +168,11 @@ impl SourceClip {
 
     /// Drops masks whose range of frames is invalid or leaves the motion. Each becomes a [`LabelProblem`] of `file`.
     pub fn check_masks(&mut self, file: &str) {
-        let frames = self.motion.len();
+        let (frames, fps) = (self.motion.len(), self.motion.fps());
         let problems = &mut self.label_problems;
         self.masks.retain(|mask| {
             let Some(row) = &mask.made else { return true };
-            let problem = row.frames(frames).err();
+            let problem = row.frames_at(frames, fps).err();
             problems.extend(problem.as_ref().map(|error| LabelProblem {
                 file: file.to_owned(),
                 reason: format!("mask {:?}: {error}", row.id),
@@ -170,23 +182,37 @@ impl SourceClip {
     }
 
     /// Shifts the ranges of masks when the motion is cut or resampled. `place` maps a frame of the old motion to one of
-    /// the new motion, which has `len` frames. A mask whose new range is shorter than [`MaskRow::SHORTEST`] becomes a
-    /// note.
-    pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
-        let mut cut_off = Vec::new();
+    /// the new motion, which has `len` frames of rate `fps`. A mask whose new range is shorter than
+    /// [`MaskRow::shortest`] is dropped, and becomes a [`LabelProblem`] of `file`.
+    pub fn move_masks(&mut self, len: usize, fps: Fps, file: &str, place: impl Fn(f64) -> f64) {
+        let problems = &mut self.label_problems;
         self.masks.retain_mut(|mask| {
-            let row = mask.made.as_mut();
-            let is_left = row.is_none_or(|row| row.move_range(len, &place));
+            let Some(row) = &mut mask.made else { return true };
+            let is_left = row.move_range(len, fps, &place);
             if !is_left {
-                cut_off.push(format!(
-                    "a mask is left with too few frames, and was dropped: {}",
-                    mask.text
-                ));
+                problems.push(LabelProblem {
+                    file: file.to_owned(),
+                    reason: format!(
+                        "mask {:?} is left with too few frames at {fps} and was dropped; a range needs \
+                         {} at least",
+                        row.id,
+                        MaskRow::shortest(fps)
+                    ),
+                });
             }
             is_left
         });
-        self.notes.extend(cut_off);
     }
+}
+
+/// The note on a motion whose rate is not the stored one; `None` if they differ by no more than rounding.
+pub fn true_rate_note(true_fps: f64, stored: Fps) -> Option<String> {
+    const TOLERANCE: f64 = 1e-3;
+    let differs = (true_fps / stored.get() - 1.0).abs() > TOLERANCE;
+    let stored = stored.get();
+    differs.then(|| {
+        format!("its true rate is {true_fps} fps, stored as {stored} by the rule of HumanML3D")
+    })
 }
 
 /// A file of labels, or a part of one, that could not be used. The motions it describes are ingested without it.

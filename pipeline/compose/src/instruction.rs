@@ -23,39 +23,6 @@ pub fn style_instruction(style: &str) -> String {
     format!("Replace a person with {article} {style} look")
 }
 
-/// An instruction for the mirror image of an edit: left and right are exchanged, clockwise and counterclockwise too,
-/// as in the mirrored captions of HumanML3D.
-pub(super) fn mirrored(instruction: &str) -> String {
-    const OPPOSITES: [[&str; 2]; 3] = [
-        ["left", "right"],
-        ["clockwise", "counterclockwise"],
-        ["leftwards", "rightwards"],
-    ];
-    let opposite = |word: &str| {
-        let lower = word.to_lowercase();
-        let found = OPPOSITES.iter().find_map(|[a, b]| match lower.as_str() {
-            lower if lower == *a => Some(*b),
-            lower if lower == *b => Some(*a),
-            _ => None,
-        })?;
-        let is_capital = word.starts_with(char::is_uppercase);
-        Some(match (is_capital, found.split_at(1)) {
-            (true, (first, rest)) => first.to_uppercase() + rest,
-            (false, _) => found.to_owned(),
-        })
-    };
-    instruction
-        .split_inclusive(|c: char| !c.is_alphabetic())
-        .map(|piece| {
-            let word = piece.trim_end_matches(|c: char| !c.is_alphabetic());
-            match opposite(word) {
-                Some(other) => other + &piece[word.len()..],
-                None => piece.to_owned(),
-            }
-        })
-        .collect()
-}
-
 /// How instructions are worded. The default is the phrasing of the release without variation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -124,22 +91,5 @@ mod tests {
         assert_eq!(text, "The person is waving with their left arm.");
         let text = instruction("clapping", BodyPart::BothArms);
         assert_eq!(text, "The person is clapping with their both arms.");
-    }
-
-    #[test]
-    fn the_mirror_image_of_an_instruction_exchanges_left_and_right() {
-        for (text, image) in [
-            (
-                "The person is raising up left hand with their left arm.",
-                "The person is raising up right hand with their right arm.",
-            ),
-            ("Right, then LEFT!", "Left, then Right!"),
-            ("clockwise, bright-eyed", "counterclockwise, bright-eyed"),
-            ("A person with an old look", "A person with an old look"),
-        ] {
-            assert_eq!(mirrored(text), image);
-        }
-        let text = "Walk to the left, then right, counterclockwise.";
-        assert_eq!(mirrored(&mirrored(text)), text);
     }
 }

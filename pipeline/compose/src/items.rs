@@ -162,7 +162,7 @@ pub fn draw_items<'a>(
     {
         return Err(Error::Refused(format!(
             "{num_drawn} items were drawn whose ids come to {found}, and those of the set come to {expected}: the \
-             dataset is not that of the set, or was made by another version"
+             dataset is not that of the set, or another version of the program made one of them"
         )));
     }
     let questions = match config.part {

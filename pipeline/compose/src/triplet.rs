@@ -563,9 +563,10 @@ mod tests {
             })
         };
         assert_eq!(with(Some(0), Some(31)), Ok(()));
+        // One that is shorter than a window is counted where windows are drawn.
+        assert_eq!(with(Some(0), Some(30)), Ok(()));
         assert_eq!(with(Some(104), Some(135)), Ok(()));
         for (start, end, reason) in [
-            (Some(0), Some(30), "spans 31"),
             (Some(0), Some(136), "135 frames"),
             (Some(-1), None, "-1 to ?"),
             (Some(-1), Some(40), "-1 to 40"),

@@ -6,6 +6,8 @@ use datasets_spec::table::{Caption, PartCaption};
 use serde::de::value::MapAccessDeserializer;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::source::Up;
+
 /// The content of `<stem>.stance.json`, which may lie beside any motion file and adds labels that its format cannot
 /// hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -24,6 +26,9 @@ pub struct Sidecar {
     /// it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fit_error_m: Option<f32>,
+    /// Up axis of the motion file, as `--up` names it. Only the file beside a motion states it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub up: Option<Up>,
     /// Captions of the clip.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub captions: Vec<LabelCaption>,

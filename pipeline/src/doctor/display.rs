@@ -97,8 +97,9 @@ impl fmt::Display for Findings {
             size(self.bytes)
         )?;
         let kinds = self.kinds.iter().map(|kind| {
+            let least = if kind.is_least { "at least " } else { "" };
             let (name, clips) = match kind.is_motion {
-                true => (kind.name.clone(), format!("{} clips", kind.clips)),
+                true => (kind.name.clone(), format!("{least}{} clips", kind.clips)),
                 false => (format!("no motion: {}", kind.name), String::new()),
             };
             vec![name, kind.files.to_string(), size(kind.bytes), clips]

@@ -87,6 +87,9 @@ pub(super) struct Kind {
     pub(super) files: u64,
     pub(super) bytes: u64,
     pub(super) clips: u64,
+    /// Whether a file of it may hold several clips, which only reading it would show.
+    #[serde(skip)]
+    pub(super) is_least: bool,
 }
 
 /// A HumanML3D folder. Counts are of ids.

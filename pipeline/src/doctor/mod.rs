@@ -199,7 +199,9 @@ fn kinds(looked: &[Looked]) -> Vec<Kind> {
             files: 0,
             bytes: 0,
             clips: 0,
+            is_least: false,
         });
+        kind.is_least |= file.may_hold_several();
         kind.files += 1;
         kind.bytes += file.bytes;
         kind.clips += file.clips();
@@ -305,6 +307,12 @@ impl Looked {
             Some(used) => used.clips,
             None => u64::from(self.format().is_ok()),
         }
+    }
+
+    /// Whether it is a single file of a format whose files may hold several clips.
+    fn may_hold_several(&self) -> bool {
+        let is_read = self.used.is_none() && !self.is_pointer;
+        is_read && self.format().is_ok_and(|format| format.keys.is_some())
     }
 
     fn is_amass(&self) -> bool {

@@ -87,6 +87,21 @@ fn releases_tell_which_parts_are_there_and_pointers_are_counted() {
 }
 
 #[test]
+fn files_that_may_hold_several_clips_are_counted_as_the_least() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    write(folder.path(), "a.glb", b"glTF\x02\0\0\0");
+    write(folder.path(), "a_poses.npz", npz(&clip_members(40, 156)));
+    let text = examined(folder.path(), None).to_string();
+    let line = |format: &str| {
+        text.lines()
+            .find(|line| line.contains(format))
+            .expect("a line")
+    };
+    assert!(line("gltf").ends_with("at least 1 clips"), "{text}");
+    assert!(!line("amass").contains("at least"), "{text}");
+}
+
+#[test]
 fn the_real_files_are_all_counted_once() {
     let Some(root) = testkit::test_data("") else {
         return;

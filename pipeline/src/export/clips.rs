@@ -7,6 +7,7 @@ use std::path::Path;
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Motion, Skeleton};
 use formats::sidecar::{LabelCaption, Sidecar};
+use formats::source::Up;
 use formats::write;
 
 use super::by_clip::{ByClip, Note};
@@ -23,6 +24,8 @@ pub(super) struct FileKind {
     ending: &'static str,
     /// Whether files look like recordings of AMASS: at about 60 fps or more, and with its suffix.
     is_amass: bool,
+    /// The up axis of the files, if their format states none.
+    up: Option<Up>,
     pub(super) encode: fn(&Motion, &Skeleton) -> io::Result<Vec<u8>>,
 }
 
@@ -31,18 +34,21 @@ impl FileKind {
         extension: "npz",
         ending: STEM_END,
         is_amass: true,
+        up: None,
         encode: write::amass::encode_smplx,
     };
     pub(super) const BVH: Self = Self {
         extension: "bvh",
         ending: ".bvh",
         is_amass: false,
+        up: Some(Up::Y),
         encode: |motion, skeleton| Ok(write::bvh::encode(motion, skeleton).into_bytes()),
     };
     pub(super) const GLTF: Self = Self {
         extension: "glb",
         ending: ".glb",
         is_amass: false,
+        up: None,
         encode: write::gltf::encode,
     };
 
@@ -95,7 +101,7 @@ impl ByClip for Files {
         let bytes = (self.kind.encode)(&motion, &self.skeleton)
             .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
         file(folder, &name, &bytes)?;
-        write_sidecar(folder, &stem, row)?;
+        write_sidecar(folder, &stem, self.kind.up, row)?;
         Ok(None)
     }
 
@@ -121,13 +127,14 @@ pub(super) fn stems(
 /// Suffix of the names of AMASS files, before the extension.
 const STEM_END: &str = "_stageii";
 
-fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
+fn write_sidecar(folder: &Path, stem: &str, up: Option<Up>, row: MotionRow) -> Result<(), Error> {
     let captions = row.captions_by_origin();
     let said = Sidecar {
         id: Some(row.id.to_string()),
         mirrored_of: row.mirrored_of.clone(),
         rotation_source: Some(row.rotation_source.clone()),
         fit_error_m: row.fit_error_m,
+        up,
         captions: captions
             .map(|(caption, origin)| LabelCaption {
                 caption: caption.clone(),

@@ -112,7 +112,7 @@ impl Labels {
         let before = masks.len();
         masks.retain_mut(|mask| {
             let (fps, len) = written[mask.motion_id.as_str()];
-            mask.move_range(len, |frame| frame * Fps::STORE.get() / fps)
+            mask.move_range(len, Fps::STORE, |frame| frame * Fps::STORE.get() / fps)
         });
         let num_short = (before - masks.len()) as u64;
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));

@@ -17,9 +17,9 @@ pub(super) enum Fate {
     /// The clip's source is not among those of this run, or cannot be read now.
     Elsewhere,
     Kept,
-    /// The file of the clip is unchanged, but something else that the clip is made of changed, such as a setting.
+    /// The motion in the file is unchanged, but something else that the clip is made of changed, such as a setting.
     ReadAgain,
-    /// The clip is read again because its file changed.
+    /// The clip is read again because its file changed. If the file then gives the same motion, the fate is `ReadAgain`.
     Changed,
     /// The clip's file is missing, and the clip stays.
     Missing,
@@ -37,10 +37,22 @@ pub(super) enum Fate {
 #[derive(Clone, Copy)]
 pub(super) enum Reread {
     Ingested,
+    /// Its file gives the recorded motion.
+    Same,
     /// Its file no longer gives it.
     Refused,
     /// It could not be read this time, which says nothing about its file.
     Unread,
+}
+
+impl Reread {
+    /// How a clip fared whose file gave a motion with this hash.
+    pub(super) fn with(clip: &RecordedClip, content: &str) -> Self {
+        match clip.has_motion() && clip.content == content {
+            true => Self::Same,
+            false => Self::Ingested,
+        }
+    }
 }
 
 #[derive(Clone)]
@@ -93,15 +105,16 @@ impl<'a> Fates<'a> {
         fates
     }
 
-    /// Decides the fate of clips that were read again but not ingested: they stay unchanged, or are pruned if their
-    /// files no longer give them.
-    pub(super) fn settle(&mut self, reread: impl Fn(&str) -> Reread) {
+    /// Decides the fate of clips that were read again. Those that were not ingested stay unchanged, or are pruned if
+    /// their files no longer give them.
+    pub(super) fn settle(&mut self, reread: impl Fn(&RecordedClip) -> Reread) {
         for (clip, fate) in self.recorded.clips.iter().zip(&mut self.fates) {
             if !matches!(fate, Fate::ReadAgain | Fate::Changed) {
                 continue;
             }
-            match reread(clip.id.as_str()) {
+            match reread(clip) {
                 Reread::Ingested => {}
+                Reread::Same => *fate = Fate::ReadAgain,
                 Reread::Refused if self.prune => *fate = Fate::Pruned { is_there: true },
                 Reread::Refused => *fate = Fate::Unusable,
                 Reread::Unread => *fate = Fate::Unread,
@@ -112,6 +125,13 @@ impl<'a> Fates<'a> {
     /// Fate of a clip; `None` if the dataset did not have it.
     pub(super) fn of_clip(&self, id: &MotionId) -> Option<Fate> {
         self.of_id.get(id.as_str()).map(|&index| self.fates[index])
+    }
+
+    /// Clips whose files changed.
+    pub(super) fn changed(&self) -> impl Iterator<Item = &'a str> + '_ {
+        let clips = self.recorded.clips.iter().zip(&self.fates);
+        let changed = clips.filter(|(_, fate)| **fate == Fate::Changed);
+        changed.map(|(clip, _)| clip.id.as_str())
     }
 
     fn stays(&self, index: usize) -> bool {

@@ -1,6 +1,6 @@
 //! Forecast of a run, made without writing anything.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::Progress;
@@ -38,8 +38,8 @@ pub struct Forecast {
     pub refusals: Vec<String>,
 }
 
-/// Forecast of the clips of a source. Files are compared by their hashes and not read as motions, so some clips may
-/// still be quarantined.
+/// Forecast of the clips of a source. Files are compared by their hashes. Of clips that the dataset has, those whose
+/// files changed are read; the others are not, so some of them may still be quarantined.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SourceForecast {
     /// Name of the source.
@@ -52,9 +52,9 @@ pub struct SourceForecast {
     pub quarantined: u64,
     /// Clips that the dataset does not have.
     pub new: Vec<String>,
-    /// Clips whose files changed.
+    /// Clips whose motions changed.
     pub changed: Vec<String>,
-    /// Clips that are read again although their files did not change.
+    /// Clips that are read again although their motions did not change.
     pub read_again: Vec<String>,
     /// Clips whose files lie elsewhere now, with the new paths.
     pub moved: BTreeMap<String, String>,
@@ -86,8 +86,9 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     let prepared = Prepared::of(store.as_ref(), out, newest.as_ref(), options)?;
     let plan = prepared.plan(store, out, listed, progress)?;
     let recorded = &prepared.base.recorded;
-    let fates = Fates::of(&plan, recorded, options.prune);
-    let fates = prepared.foreseen(&plan, &fates);
+    let mut fates = Fates::of(&plan, recorded, options.prune);
+    let changed: BTreeSet<String> = fates.changed().map(str::to_owned).collect();
+    prepared.settle_now(&plan, &mut fates, &changed);
     let lost = prepared.labels(&fates);
     let mut refusals = Vec::new();
     let mut refuse = |checked: Result<(), Error>| {
@@ -97,6 +98,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     if options.new_version {
         refuse(prepared.refuse_mixture(out, &fates));
     }
+    refuse(prepared.refuse_common_ids(out, &plan, &fates));
     refuse(prepared.refuse_loss(out, &lost));
     Ok(Forecast {
         sources: plan.forecast(recorded, &fates),

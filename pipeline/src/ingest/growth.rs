@@ -12,9 +12,10 @@ pub struct Growth {
     pub new: u64,
     /// Clips that stay unchanged without their files being read.
     pub kept: u64,
-    /// Clips that were read again although their files did not change: labels or settings did.
+    /// Clips that were read again although their motions did not change: labels, settings or other clips of the file
+    /// did.
     pub read_again: Vec<String>,
-    /// Clips whose files changed.
+    /// Clips whose motions changed.
     pub changed: Vec<String>,
     /// Clips whose files lie elsewhere now.
     pub moved: Vec<String>,

@@ -10,7 +10,7 @@ use formats::source::{Entry, Format, escaped};
 use super::alike::Alike;
 use super::list::{path_of, without_extension};
 use super::plan::{Plan, Planned};
-use super::recorded::Recorded;
+use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
@@ -18,11 +18,15 @@ use crate::names::free;
 use crate::recordings::{Groups, source_clip};
 use crate::versions::taken_out;
 
+/// Whether a motion may be a clip of the same source whose id is that of the motion behind this prefix.
+type IsWanted<'a> = dyn Fn(&Planned, &str) -> bool + 'a;
+
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
     ///
     /// A motion is the clip that was read from the same path; otherwise the clip of the same source whose file had the
-    /// same content and is no longer at its path. Motions that the dataset quarantined or skipped are refused again as
+    /// same content and is no longer at its path; otherwise the clip of the same source that its release calls the same.
+    /// Motions that the dataset quarantined or skipped are refused again as
     /// long as none of their inputs has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
         // A clip whose file cannot be read now stays unchanged.
@@ -90,43 +94,118 @@ impl Plan {
         let by_id: BTreeMap<&str, usize> = clips
             .map(|(index, clip)| (clip.id.as_str(), index))
             .collect();
-        let mut claimed = BTreeSet::new();
-        let mut claim = |item: &mut Planned, candidates: Option<&Vec<usize>>, moved: bool| {
-            // Releases hold thousands of motions in a file; most have the id that the release gives them, which is
-            // tried first.
-            let exact = by_id.get(item.entry.id.as_str()).copied();
-            let exact =
-                exact.filter(|index| !moved && recorded.clips[*index].path == item.entry.file);
-            let mut candidates = exact
-                .into_iter()
-                .chain(candidates.into_iter().flatten().copied());
-            let found = candidates.find(|&index| {
-                let clip = &recorded.clips[index];
-                item.is_of(clip.id.as_str()) && claimed.insert(index)
-            });
-            let Some(index) = found else { return };
-            let clip = &recorded.clips[index];
-            item.known = Some(index);
-            // Captures without a motion, which earlier versions kept, are read again.
-            let is_unchanged = clip.has_motion() && item.inputs == clip.inputs;
-            item.is_kept = same_settings && !moved && is_unchanged;
-            item.id = clip.id.to_string();
-            if item.release.is_some() {
-                let prefix = item.id.strip_suffix(&item.entry.id);
-                item.prefix = prefix.unwrap_or("").to_owned();
-            } else {
-                item.entry.id.clone_from(&item.id);
+        let mut claimed: BTreeSet<usize> = BTreeSet::new();
+        // Most motions of a release have the id that the release gives them. All of these come first, because the id
+        // of another may end alike.
+        for (is_moved, is_exact) in [(false, true), (false, false), (true, true), (true, false)] {
+            for item in items.iter_mut().filter(|item| item.known.is_none()) {
+                let file = item.entry.file.as_str();
+                let path = match is_moved {
+                    true => moved.get(file).map(String::as_str),
+                    false => Some(file),
+                };
+                let Some(path) = path else { continue };
+                let found = match is_exact {
+                    true => by_id.get(item.entry.id.as_str()).copied(),
+                    false => by_path.get(path).and_then(|there| {
+                        let mut there = there.iter().copied();
+                        there.find(|index| {
+                            let id = recorded.clips[*index].id.as_str();
+                            item.is_of(id) && !claimed.contains(index)
+                        })
+                    }),
+                };
+                let found = found.filter(|index| recorded.clips[*index].path == path);
+                if let Some(index) = found.filter(|index| claimed.insert(*index)) {
+                    item.resume(index, &recorded.clips[index], same_settings && !is_moved);
+                }
             }
+        }
+        self.recognise_by_id(items, recorded, &mut claimed);
+    }
+
+    /// Recognises the other motions of releases by their source and the id that the release gives them: a dataset
+    /// writes a shard under a new name when one of its clips changes. A clip that several motions could be stays.
+    fn recognise_by_id(
+        &self,
+        items: &mut [Planned],
+        recorded: &Recorded,
+        claimed: &mut BTreeSet<usize>,
+    ) {
+        let mut prefixes: BTreeMap<usize, BTreeSet<String>> = BTreeMap::new();
+        for item in items.iter().filter(|item| item.known.is_some()) {
+            if let Some(release) = item.release {
+                let of_release = prefixes.entry(release).or_default();
+                of_release.insert(item.prefix.clone());
+            }
+        }
+        let of_release = |item: &Planned| {
+            let release = item.release.as_ref();
+            release.and_then(|release| prefixes.get(release))
         };
-        for item in items.iter_mut() {
-            let candidates = by_path.get(item.entry.file.as_str());
-            claim(item, candidates, false);
+        // The only prefix of the release's other clips comes first, then none.
+        let is_only = |item: &Planned, prefix: &str| {
+            of_release(item).is_some_and(|known| known.len() == 1 && known.contains(prefix))
+        };
+        let is_none = |_: &Planned, prefix: &str| prefix.is_empty();
+        let is_any = |item: &Planned, prefix: &str| {
+            let is_known = of_release(item).is_some_and(|known| known.contains(prefix));
+            is_known || is_prefix_of(item.format, prefix)
+        };
+        let rounds: [&IsWanted<'_>; 3] = [&is_only, &is_none, &is_any];
+        for is_wanted in rounds {
+            for (place, index) in self.same_ids(items, recorded, claimed, is_wanted) {
+                claimed.insert(index);
+                items[place].resume(index, &recorded.clips[index], false);
+            }
         }
-        for item in items.iter_mut().filter(|item| item.known.is_none()) {
-            let from = moved.get(item.entry.file.as_str());
-            let candidates = from.and_then(|from| by_path.get(from.as_str()));
-            claim(item, candidates, true);
+    }
+
+    /// The new motions of releases, by their places in `items`, and clips of the same source with the same id behind a
+    /// prefix for which `is_wanted` holds. Those that could be several are left out.
+    fn same_ids(
+        &self,
+        items: &[Planned],
+        recorded: &Recorded,
+        claimed: &BTreeSet<usize>,
+        is_wanted: &IsWanted<'_>,
+    ) -> Vec<(usize, usize)> {
+        let is_new = |item: &Planned| item.release.is_some() && item.known.is_none();
+        if !items.iter().any(is_new) {
+            return Vec::new();
         }
+        let mut by_end: BTreeMap<(&str, &str), Vec<usize>> = BTreeMap::new();
+        for (index, clip) in recorded.clips.iter().enumerate() {
+            if claimed.contains(&index) {
+                continue;
+            }
+            let source = recorded.sources[clip.source].name.as_str();
+            for end in ends_of(clip.id.as_str()) {
+                by_end.entry((source, end)).or_default().push(index);
+            }
+        }
+        let mut found: Vec<(usize, usize)> = Vec::new();
+        for (place, item) in items.iter().enumerate() {
+            if !is_new(item) {
+                continue;
+            }
+            let id = item.entry.id.as_str();
+            let there = by_end.get(&(self.source_name(&item.entry.file), id));
+            for &index in there.into_iter().flatten() {
+                let whole = recorded.clips[index].id.as_str();
+                if is_wanted(item, &whole[..whole.len() - id.len()]) {
+                    found.push((place, index));
+                }
+            }
+        }
+        let mut of_place: BTreeMap<usize, usize> = BTreeMap::new();
+        let mut of_clip: BTreeMap<usize, usize> = BTreeMap::new();
+        for (place, index) in &found {
+            *of_place.entry(*place).or_default() += 1;
+            *of_clip.entry(*index).or_default() += 1;
+        }
+        found.retain(|(place, index)| of_place[place] == 1 && of_clip[index] == 1);
+        found
     }
 
     /// Files that moved within their source, with their previous paths. A file is taken for a recorded one if it has
@@ -196,16 +275,20 @@ impl Plan {
         })
     }
 
-    /// Gives the new motions of releases their ids.
+    /// Gives the new motions of releases their ids: with the prefix of the release's other clips, unless an id is taken.
     fn name_releases(&self, items: &mut [Planned], taken: &mut BTreeSet<String>) {
-        for (index, (format, release)) in self.releases.iter().enumerate() {
-            let is_own = |item: &Planned| item.release == Some(index);
-            let mut known = items.iter().filter(|item| item.known.is_some());
-            let prefix = match known.find(|item| is_own(item)) {
-                Some(known) => known.prefix.clone(),
-                None => prefix_of(*format, &release.contents().entries, taken),
-            };
-            for item in items.iter_mut().filter(|item| is_own(item)) {
+        for (index, (format, _)) in self.releases.iter().enumerate() {
+            let own = items.iter().filter(|item| item.release == Some(index));
+            let (known, new): (Vec<&Planned>, Vec<&Planned>) =
+                own.partition(|item| item.known.is_some());
+            let of_known = known.first().map(|item| item.prefix.clone());
+            let mut prefixes = of_known.into_iter().chain(prefixes_of(*format));
+            let prefix = prefixes.find(|prefix| {
+                let mut ids = new.iter().map(|item| format!("{prefix}{}", item.entry.id));
+                ids.all(|id| !taken.contains(&id))
+            });
+            let prefix = prefix.expect("numbers do not end");
+            for item in items.iter_mut().filter(|item| item.release == Some(index)) {
                 if item.known.is_none() {
                     item.prefix.clone_from(&prefix);
                     item.id = format!("{prefix}{}", item.entry.id);
@@ -433,6 +516,21 @@ fn drawn_by(key: &str) -> &str {
 }
 
 impl Planned {
+    /// Makes the motion that of a recorded clip, with its index. With `may_stay`, the clip is kept if its inputs have
+    /// not changed.
+    fn resume(&mut self, index: usize, clip: &RecordedClip, may_stay: bool) {
+        self.known = Some(index);
+        // Captures without a motion, which earlier versions kept, are read again.
+        self.is_kept = may_stay && clip.has_motion() && self.inputs == clip.inputs;
+        self.id = clip.id.to_string();
+        if self.release.is_some() {
+            let prefix = self.id.strip_suffix(&self.entry.id);
+            self.prefix = prefix.unwrap_or("").to_owned();
+        } else {
+            self.entry.id.clone_from(&self.id);
+        }
+    }
+
     /// Whether the motion is the one that the clip with this id was read from, given that the file is the same.
     pub(super) fn is_of(&self, id: &str) -> bool {
         match self.release {
@@ -534,21 +632,28 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
     }
 }
 
-/// Id prefix that keeps a release's ids unique: empty, its format, or its format and a number.
-fn prefix_of(format: Format, entries: &[Entry], taken: &BTreeSet<String>) -> String {
+/// Id prefixes of a release, of which the first that keeps ids unique is used: none, its format, or its format and a
+/// number.
+fn prefixes_of(format: Format) -> impl Iterator<Item = String> {
     let name = format.as_str();
-    let mut prefix = String::new();
-    let mut number = 1;
-    let is_taken = |prefix: &str| {
-        let mut ids = entries.iter();
-        ids.any(|entry| taken.contains(&format!("{prefix}{}", entry.id)))
-    };
-    while is_taken(&prefix) {
-        prefix = match number {
-            1 => format!("{name}/"),
-            _ => format!("{name}-{number}/"),
-        };
-        number += 1;
-    }
-    prefix
+    let numbered = (2..).map(move |number| format!("{name}-{number}/"));
+    [String::new(), format!("{name}/")]
+        .into_iter()
+        .chain(numbered)
+}
+
+/// Whether `prefix` is one of [`prefixes_of`], and not empty.
+fn is_prefix_of(format: Format, prefix: &str) -> bool {
+    let number = prefix.strip_prefix(format.as_str());
+    let number = number.and_then(|rest| rest.strip_suffix('/'));
+    number.is_some_and(|number| {
+        let digits = number.strip_prefix('-');
+        number.is_empty() || digits.is_some_and(|digits| digits.parse::<u32>().is_ok())
+    })
+}
+
+/// An id, and what follows each of its slashes.
+fn ends_of(id: &str) -> impl Iterator<Item = &str> {
+    let ends = id.match_indices('/').map(move |(at, _)| &id[at + 1..]);
+    std::iter::once(id).chain(ends)
 }

@@ -63,6 +63,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     let fates = Fates::of(&plan, &prepared.base.recorded, options.prune);
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.
     prepared.refuse_mixture(destination, &fates)?;
+    prepared.refuse_common_ids(destination, &plan, &fates)?;
     let labels = prepared.labels(&prepared.foreseen(&plan, &fates));
     prepared.refuse_loss(destination, &labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);

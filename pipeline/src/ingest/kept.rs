@@ -7,7 +7,7 @@ use clip::LabelProblem;
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader};
-use datasets_spec::{MotionId, Split};
+use datasets_spec::{Fps, MotionId, Split};
 use formats::source::labels::is_label_file;
 
 use super::fates::{Fate, Fates};
@@ -90,7 +90,7 @@ impl Fates<'_> {
                 return Ok(false);
             }
             Some(Fate::ReadAgain) => return Ok(true),
-            Some(Fate::Changed) => format!("the file of {id} changed"),
+            Some(Fate::Changed) => format!("the motion of {id} changed"),
             Some(Fate::Pruned { is_there: false }) => format!("the file of {id} is gone"),
             Some(Fate::Pruned { is_there: true }) => format!("{id} cannot be used any more"),
             None => format!("{id} is not in the dataset"),
@@ -203,6 +203,8 @@ fn true_rate(stated: f64, taken: f64) -> f64 {
 pub(super) struct Timing {
     /// Frames in a second.
     fps: f64,
+    /// The rate that the motion is stored at, which may be another ([`datasets_spec::Resample::HumanMl3d`]).
+    stored: f64,
     /// Time of the first frame in the source, in seconds.
     start_s: f64,
     num_frames: usize,
@@ -229,6 +231,7 @@ impl Timing {
                 let (start, end) = (f64::from(start[row]), f64::from(end[row]));
                 let num_frames = usize::try_from(frames[row]).unwrap_or(0);
                 let timing = Self {
+                    stored: fps,
                     fps: true_rate(fps, num_frames as f64 * source / (end - start)),
                     start_s: start / source,
                     num_frames,
@@ -262,7 +265,8 @@ impl Labels {
             let timings = before.get(&mask.motion_id).zip(now.get(&mask.motion_id));
             let timings = timings.filter(|(before, now)| before != now);
             let is_left = timings.is_none_or(|(before, now)| {
-                mask.move_range(now.num_frames, |frame| before.moved(frame, *now))
+                let stored = Fps::new(now.stored).unwrap_or(Fps::STORE);
+                mask.move_range(now.num_frames, stored, |frame| before.moved(frame, *now))
             });
             if is_left {
                 self.masks.push(mask);

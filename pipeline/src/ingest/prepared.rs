@@ -11,6 +11,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{NoProgress, Progress, Resample, Seed};
 use formats::source::ReadOptions;
 
+use super::deal::SHARD_SOURCES;
 use super::fates::{Fates, Reread};
 use super::kept::Labels;
 use super::known::Known;
@@ -143,28 +144,65 @@ impl Prepared {
         fates.labels(self.base.masks.clone(), self.base.label_pairs.clone())
     }
 
-    /// The fates that can be foreseen. Changed clips whose labels would be lost are read now, because a clip that its
-    /// file no longer gives stays with its labels.
+    /// The fates that can be foreseen. Changed clips whose labels would be lost are read now: a clip keeps them if its
+    /// file gives the same motion, or no longer gives any.
     pub(super) fn foreseen<'a>(&self, plan: &Plan, fates: &Fates<'a>) -> Fates<'a> {
         let mut foreseen = fates.clone();
-        let lost = self.labels(fates).lost;
-        let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
-        let items = plan.items_with_ids(&clips);
-        let done = plan.read_items(&items, &self.options, &NoProgress);
-        let failed: BTreeMap<&str, Reread> = std::iter::zip(&items, done)
-            .filter_map(|(item, done)| {
-                let reread = match done {
-                    Done::Clip(..) => return None,
-                    Done::Rejected(row) if is_passing(&row) => Reread::Unread,
-                    Done::Rejected(_) | Done::Skipped(_) => Reread::Refused,
-                };
-                Some((item.id.as_ref().ok()?.as_str(), reread))
-            })
-            .collect();
-        if !failed.is_empty() {
-            foreseen.settle(|id| failed.get(id).copied().unwrap_or(Reread::Ingested));
+        let mut read = BTreeSet::new();
+        // A pair may be lost by its second clip once the first is known to be the same.
+        loop {
+            let lost = self.labels(&foreseen).lost.into_iter();
+            let mut clips: BTreeSet<String> = lost.map(|label| label.clip).collect();
+            clips.retain(|clip| read.insert(clip.clone()));
+            if clips.is_empty() {
+                return foreseen;
+            }
+            self.settle_now(plan, &mut foreseen, &clips);
         }
-        foreseen
+    }
+
+    /// Reads some of the clips that are read again, and decides their fates.
+    pub(super) fn settle_now(&self, plan: &Plan, fates: &mut Fates<'_>, clips: &BTreeSet<String>) {
+        let clips: BTreeSet<&str> = clips.iter().map(String::as_str).collect();
+        let mut met: BTreeMap<String, Result<String, Reread>> = BTreeMap::new();
+        // The motions of more clips may not fit into memory.
+        for items in plan.items_with_ids(&clips).chunks(SHARD_SOURCES) {
+            let done = plan.read_items(items, &self.options, &NoProgress);
+            met.extend(items.iter().zip(done).map(|(item, done)| {
+                let found = match done {
+                    Done::Clip(rows, _) => Ok(rows.motion.content_hash),
+                    Done::Rejected(row) if is_passing(&row) => Err(Reread::Unread),
+                    Done::Rejected(_) | Done::Skipped(_) => Err(Reread::Refused),
+                };
+                (item.planned.id.clone(), found)
+            }));
+        }
+        fates.settle(|clip| match met.get(clip.id.as_str()) {
+            Some(Ok(content)) => Reread::with(clip, content),
+            Some(Err(why)) => *why,
+            None => Reread::Ingested,
+        });
+    }
+
+    /// Refuses a run after which two clips would have one id.
+    pub(super) fn refuse_common_ids(
+        &self,
+        root: &Path,
+        plan: &Plan,
+        fates: &Fates<'_>,
+    ) -> Result<(), Error> {
+        let made = plan.items.iter().filter(|item| !item.is_kept);
+        let mut ids: BTreeSet<&str> = made.map(|item| item.id.as_str()).collect();
+        let mut staying = fates.staying().map(|clip| clip.id.as_str());
+        let Some(id) = staying.find(|id| !ids.insert(*id)) else {
+            return Ok(());
+        };
+        let reason = format!(
+            "two clips of {} would have the id {id}; nothing was changed. Go back to a version in which `stance verify` \
+             finds each id once (`stance dataset versions`, `stance dataset restore`), or ingest into a new folder",
+            root.display()
+        );
+        Err(Error::coded("E-COMMON-ID", id, reason))
     }
 
     pub(super) fn refuse_loss(&self, root: &Path, labels: &Labels) -> Result<(), Error> {

@@ -99,6 +99,8 @@ pub(super) struct Tally {
     /// Clips of this run that moved into the split of an equal or nearly equal clip.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
+    /// Hashes of the ingested motions by id.
+    pub(super) contents: BTreeMap<String, String>,
     pub(super) alike: Alike,
     pub(super) pairs: Vec<PairRow>,
     pub(super) dropped_pairs: u64,
@@ -116,6 +118,8 @@ impl Tally {
         }
         self.skipped.extend(notes.skipped);
         self.quarantine.extend(notes.quarantine);
+        let ids = notes.ingested.iter().cloned();
+        self.contents.extend(ids.zip(notes.contents));
         self.ingested.extend(notes.ingested);
         self.pairs.extend(notes.pairs);
         self.dropped_pairs += notes.dropped_pairs;

@@ -4,7 +4,10 @@ use clip::check::{
     FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
     check_with, starts_apart,
 };
-use clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
+use clip::{
+    EditOf, LabelProblem, Markers, Rejected, SourceClip, SourceMask, check_resampled,
+    true_rate_note,
+};
 use datasets_spec::record::{
     CAPTION_BY_RULE, CAPTION_BY_SOURCE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
 };
@@ -65,24 +68,23 @@ fn marker_row(
     }
 }
 
+/// The rows of a clip, and its labels that could not be used.
 pub(super) fn clip_rows(
     mut clip: SourceClip,
     id: MotionId,
     item: &Item,
     source_hash: String,
     options: &IngestOptions,
-) -> Result<ClipRows, Rejected> {
+) -> Result<(ClipRows, Vec<LabelProblem>), Rejected> {
     if !options.made_captions {
         clip.made_captions.clear();
     }
     let skeleton = &options.read.skeleton;
     if options.teleports != Teleports::Keep {
-        drop_reference(&mut clip, skeleton);
+        drop_reference(&mut clip, skeleton, &item.planned.entry.file);
     }
     let target = options.fps.unwrap_or(clip.motion.fps());
-    let (motion, quality) = stored(&mut clip, target, options)?;
-    let rates = target.get() / clip.motion.fps().get();
-    clip.move_masks(motion.len(), |frame| frame * rates);
+    let (motion, quality) = stored(&mut clip, target, &item.planned.entry.file, options)?;
     let Planned { entry, prefix, .. } = item.planned;
     let mirrored_of = entry.mirrored_of.as_ref();
     let features = options
@@ -137,37 +139,50 @@ pub(super) fn clip_rows(
         centre_z,
         quality,
     };
-    Ok(ClipRows {
+    let rows = ClipRows {
         motion,
         features,
         markers,
         edits: clip.edits,
         masks: clip.masks,
-    })
+    };
+    Ok((rows, clip.label_problems))
 }
 
-/// Returns the motion of a clip at the rate `target`, checked, and its quality. If a jump is trimmed away, `clip` is
-/// cropped to what is kept.
+/// Returns the motion of a clip at the rate `target`, checked, and its quality. The captions and masks of `clip` are
+/// moved to its times and frames. If a jump is trimmed away, `clip` is cropped to what is kept.
 fn stored(
     clip: &mut SourceClip,
     target: Fps,
+    file: &str,
     options: &IngestOptions,
 ) -> Result<(Motion, Quality), Rejected> {
     check_resampled(clip.motion.len(), clip.motion.fps(), target)?;
+    let by_rule = options.resample == Resample::HumanMl3d;
+    // The published rule does not round the rate first.
+    let stated = clip
+        .stated_fps
+        .filter(|stated| by_rule && *stated >= target);
+    if let Some(stated) = stated {
+        clip.motion.set_fps(stated);
+        clip.source_fps = stated;
+    }
     let motion = options
         .resample
         .apply(&clip.motion, target)
         .map_err(|error| Rejected::check("E-RESAMPLE", error.to_string()))?;
-    let (motion, mut quality, kept) =
-        check_with(motion, &options.read.skeleton, options.teleports)?;
+    let rates = clip.motion.fps().get() / target.get();
+    let step = if by_rule { rates.floor() } else { rates };
+    let source_frame = |frame: usize| clip.source_frame(frame as f64 * step);
+    let (motion, mut quality, kept) = check_with(
+        motion,
+        &options.read.skeleton,
+        options.teleports,
+        source_frame,
+    )?;
     let mut duration_secs = clip.motion.duration_secs();
     if let Some(kept) = kept {
-        let rates = clip.motion.fps().get() / target.get();
-        let step = match options.resample {
-            Resample::Exact => rates,
-            Resample::HumanMl3d => rates.floor(),
-        };
-        clip.narrow(&kept, step);
+        clip.narrow(&kept, step, file);
         duration_secs *= motion.len() as f64 * step / clip.motion.len() as f64;
         clip.notes.push(format!(
             "source frames {} to {} were kept, the longest stretch without a jump",
@@ -175,7 +190,22 @@ fn stored(
         ));
     }
     quality.flags |= clip.flags | said_flags(clip, duration_secs as f32);
+    clip.move_masks(motion.len(), target, file, |frame| frame / step);
+    follow_rate(clip, clip.motion.fps().get() / step, target);
     Ok((motion, quality))
+}
+
+/// Notes that the true rate of a motion is not the stored one, and moves its captions to the stored times.
+fn follow_rate(clip: &mut SourceClip, true_fps: f64, stored: Fps) {
+    let Some(note) = true_rate_note(true_fps, stored) else {
+        return;
+    };
+    clip.notes.push(note);
+    let slower = (true_fps / stored.get()) as f32;
+    for caption in clip.captions.iter_mut().chain(&mut clip.made_captions) {
+        caption.from_s *= slower;
+        caption.to_s *= slower;
+    }
 }
 
 /// The clip's own features, if they describe the stored frames; otherwise features computed from the stored motion.
@@ -211,7 +241,7 @@ fn caption_origins(clip: &SourceClip) -> Vec<String> {
 }
 
 /// Drops the first frame if it is a reference pose (T-pose) from which the motion jumps.
-fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
+fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton, file: &str) {
     if !starts_apart(&clip.motion, skeleton) {
         return;
     }
@@ -223,7 +253,7 @@ fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
         "source frame {} is a reference pose from which the motion jumps; it was dropped",
         clip.source_frames.start
     ));
-    clip.narrow(&kept, 1.0);
+    clip.narrow(&kept, 1.0, file);
     clip.motion = motion;
     clip.flags |= FLAG_REFERENCE_DROPPED;
 }
@@ -302,5 +332,100 @@ pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> Mask
         text_origin: "imported".to_owned(),
         author: item.planned.format.as_str().to_owned(),
         accepted_by: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clip::RotationSource;
+    use datasets_spec::table::Caption;
+    use datasets_spec::{Pose, Split};
+
+    use super::*;
+
+    fn still(fps: f64, frames: usize) -> SourceClip {
+        let fps = Fps::new(fps).expect("a rate");
+        let motion = Motion::from_poses(fps, &vec![Pose::REST; frames]).expect("valid");
+        SourceClip::new(motion, RotationSource::Native)
+    }
+
+    #[test]
+    fn the_published_rule_counts_by_the_stated_rate_and_keeps_captions_in_place() {
+        let options = IngestOptions {
+            resample: Resample::HumanMl3d,
+            ..IngestOptions::default()
+        };
+        for (stated, frames) in [(59.99_f64, 76), (119.99, 31)] {
+            let mut clip = still(stated.round(), 152);
+            clip.stated_fps = Fps::new(stated).ok();
+            let read = stored(&mut clip, Fps::STORE, "a.npz", &options);
+            assert_eq!(read.expect("stored").0.len(), frames, "{stated} fps");
+            assert_eq!(clip.source_fps.get(), stated);
+        }
+        let said = "its true rate is 30 fps, stored as 20 by the rule of HumanML3D";
+        for (fps, times, notes) in [(30.0, (3.0, 6.0), &[said][..]), (60.0, (2.0, 4.0), &[][..])] {
+            let mut clip = still(fps, 285);
+            clip.captions.push(Caption {
+                from_s: 2.0,
+                to_s: 4.0,
+                ..Caption::default()
+            });
+            stored(&mut clip, Fps::STORE, "a.bvh", &options).expect("stored");
+            let caption = &clip.captions[0];
+            assert_eq!((caption.from_s, caption.to_s), times);
+            assert_eq!(clip.notes, notes);
+        }
+    }
+
+    #[test]
+    fn masks_need_the_frames_that_a_window_spans_at_the_stored_rate() {
+        let read = |fps: f64, end: i32| {
+            let mut clip = still(20.0, 60);
+            let row = MaskRow {
+                start: Some(10),
+                end: Some(end),
+                ..testkit::mask_row("a", Split::Train, BodyPart::LeftArm)
+            };
+            clip.masks.push(SourceMask::of_row(row));
+            let fps = Fps::new(fps).expect("a rate");
+            stored(&mut clip, fps, "a.pkl", &IngestOptions::default()).expect("stored");
+            clip
+        };
+        for (fps, range) in [
+            (20.0, (10, 45)),
+            (10.0, (5, 23)),
+            (12.5, (6, 28)),
+            (15.0, (8, 34)),
+            (30.0, (15, 68)),
+        ] {
+            let clip = read(fps, 45);
+            let row = clip.masks[0].made.as_ref().expect("a row");
+            assert_eq!(
+                (row.start, row.end),
+                (Some(range.0), Some(range.1)),
+                "{fps} fps"
+            );
+            assert!(clip.label_problems.is_empty());
+        }
+        // 30 frames of 20 fps are 45 of 30 fps, and a window spans 46.
+        let clip = read(30.0, 40);
+        assert!(clip.masks.is_empty());
+        let problem = clip.label_problems[0].to_string();
+        assert!(problem.starts_with("a.pkl: mask "), "{problem}");
+        assert!(
+            problem.contains("at 30 fps") && problem.contains("46"),
+            "{problem}"
+        );
+    }
+
+    #[test]
+    fn a_jump_is_told_by_its_frame_in_the_file() {
+        let mut clip = still(120.0, 120);
+        for frame in 63..120 {
+            clip.motion.set_transl(frame, [5.0, 0.0, 0.0]);
+        }
+        let read = stored(&mut clip, Fps::STORE, "a.bvh", &IngestOptions::default());
+        let reason = read.expect_err("100 m/s").reason;
+        assert!(reason.contains("into frame 66,"), "{reason}");
     }
 }

@@ -180,8 +180,9 @@ impl Run<'_> {
     ) -> Result<IngestReport, Error> {
         let Self { prepared, plan, .. } = self;
         let root = self.transaction.root().to_owned();
-        // Refused before the motions are read: clips that cannot stay, and labels that may not be lost.
+        // Refused before the motions are read: clips that cannot stay, ids of two clips, and labels that may not be lost.
         prepared.refuse_mixture(&root, &self.fates)?;
+        prepared.refuse_common_ids(&root, plan, &self.fates)?;
         prepared.refuse_loss(
             &root,
             &prepared.labels(&prepared.foreseen(plan, &self.fates)),
@@ -275,9 +276,10 @@ impl Run<'_> {
             tally.take(entry, notes);
         }
         let unread = self.plan.unread_ids(&tally.quarantine);
-        self.fates.settle(|id| {
+        self.fates.settle(|clip| {
+            let id = clip.id.as_str();
             if tally.ingested.contains(id) {
-                Reread::Ingested
+                Reread::with(clip, tally.contents.get(id).map_or("", String::as_str))
             } else if unread.contains(id) {
                 Reread::Unread
             } else {

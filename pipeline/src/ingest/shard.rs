@@ -30,6 +30,9 @@ pub(super) struct ShardNotes {
     /// Files of other tables that were written with the shard.
     pub(super) beside: Vec<(String, FileEntry)>,
     pub(super) ingested: Vec<String>,
+    /// Hashes of the ingested motions, in the order of `ingested`.
+    #[serde(default)]
+    pub(super) contents: Vec<String>,
     pub(super) pairs: Vec<PairRow>,
     /// Number of pairs whose other motion has no usable id.
     pub(super) dropped_pairs: u64,
@@ -101,6 +104,7 @@ impl Plan {
                         masks,
                     } = *clip;
                     notes.ingested.push(motion.id.as_str().to_owned());
+                    notes.contents.push(motion.content_hash.clone());
                     for edit in edits {
                         match pair_row(edit, item, &motion.id) {
                             Some(row) => notes.pairs.push(row),
@@ -178,8 +182,7 @@ impl Plan {
             Outcome::Rejected(rejected) => return Err(rejected),
         };
         clip.check_masks(&item.planned.entry.file);
-        let problems = std::mem::take(&mut clip.label_problems);
-        let rows = clip_rows(clip, id, item, source_hash, options)?;
+        let (rows, problems) = clip_rows(clip, id, item, source_hash, options)?;
         Ok(Done::Clip(Box::new(rows), problems))
     }
 
@@ -207,7 +210,9 @@ impl Plan {
             return Err(rejected);
         }
         let mut opened = self.files.open(file)?;
-        if let Some(outcome) = (item.planned.format.read_in_pieces)(&mut *opened, length, options) {
+        let of_file = labels::options_of(path, companions, options);
+        if let Some(outcome) = (item.planned.format.read_in_pieces)(&mut *opened, length, &of_file)
+        {
             return Ok(label(outcome, path, companions, around));
         }
         let bytes = self.files.read(file)?;

@@ -31,7 +31,7 @@ const RENAMES: [(&str, &str); 10] = [
 ];
 
 /// The inverse of [`RENAMES`]: (pattern in our name, PyTorch's name).
-const RENAMES_BACK: [(&str, &str); RENAMES.len()] = [
+const RENAMES_BACK: [(&str, &str); 10] = [
     (r"in_proj\.(weight|bias)$", "in_proj_$1"),
     (
         r"(embed_timestep|embed_prog_ind)\.hidden\.",

@@ -14,12 +14,12 @@ use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
 
 use super::exporter::{Clips, Exported, Exporter};
 use crate::Error;
-use crate::answer::{completion, sentence};
+use crate::answer::{sentence, stored_parts, stored_words};
 use crate::groups::grouped;
 use crate::mask::check_range;
 use crate::store::AcceptedAnswer;
 use crate::transfer::keys::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
-use crate::wire::{Answer, Extent, TaskKind};
+use crate::wire::{Answer, TaskKind};
 
 /// Fact of the manifest with the splits that this store has exported, separated by spaces; missing or empty for all.
 const SPLITS_FACT: &str = "annotate_splits";
@@ -57,6 +57,9 @@ impl Exporter<'_> {
         let rejected = self.rejected(&dataset, &judged)?;
         let unmasked = self.unmasked(&dataset, &described)?;
         self.take_back(&dataset, &mut masks, &mut pairs)?;
+        let accepted = described.values().map(|(seq, _)| *seq);
+        let accepted = accepted.chain(judged.values().map(|(seq, _)| *seq));
+        let newest = accepted.max().unwrap_or(0);
         self.done.count("motions_described", described.len());
         masks.extend(
             described
@@ -78,7 +81,12 @@ impl Exporter<'_> {
         let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
         let is_recorded =
             rejected == manifest.rejected_pairs()? && unmasked == manifest.rejected_masks()?;
-        if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) && is_recorded {
+        // What was accepted again since the last export is written as it was, and newer than others' rejections.
+        let is_own = manifest.facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
+        let written = manifest.facts.get(ANNOTATE_SEQ_FACT);
+        let written = written.and_then(|seq| seq.parse::<i64>().ok());
+        let is_newer = is_own && written.is_some_and(|written| newest > written);
+        if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) && is_recorded && !is_newer {
             return Ok(());
         }
         let skeleton = dataset.skeleton()?;
@@ -140,6 +148,11 @@ impl Exporter<'_> {
         let (mut described, mut judged) = (Described::new(), Judged::new());
         let mut tasks = TasksOf::new();
         self.each_accepted(|exporter, accepted| {
+            // Others may have changed the label since it was imported; nobody here has judged it.
+            if accepted.of_dataset {
+                exporter.done.count("labels_left_as_they_are", 1);
+                return Ok(());
+            }
             count_losses(&accepted, &mut exporter.done);
             if accepted.task.kind == TaskKind::MaskText {
                 let motion = exporter.ids(&accepted.task)?.0;
@@ -258,11 +271,18 @@ impl Exporter<'_> {
         let mut pairs: Vec<PairRow> = dataset.read(None)?;
         // After an export of this store, what people accepted was accepted here.
         let is_own = dataset.manifest().facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
-        let (mut replaced, mut contradicted) = (0, 0);
+        let (mut replaced, mut reworded, mut contradicted) = (0, 0, 0);
+        let said = |pair: &PairRow| {
+            let (style, kind) = (pair.style.clone(), pair.edit_type.clone());
+            (pair.instruction.clone(), pair.parts.clone(), style, kind)
+        };
         pairs.retain(|pair| match judged.get(&pair.id) {
             None => true,
             Some((_, Judgement::Kept(row))) => {
-                replaced += usize::from(clips_of_pair(row) != clips_of_pair(pair));
+                let is_other = clips_of_pair(row) != clips_of_pair(pair);
+                replaced += usize::from(is_other);
+                let is_of_others = !is_own && pair.accepted_by.is_some();
+                reworded += usize::from(!is_other && is_of_others && said(row) != said(pair));
                 false
             }
             Some((_, Judgement::Rejected(clips))) => {
@@ -277,6 +297,12 @@ impl Exporter<'_> {
         );
         self.done
             .report("pairs_rejected_over_others", contradicted, message);
+        let message = format!(
+            "{reworded} pairs that another project may have accepted have the text, parts, style or type of this one now: the \
+             next export of that project brings its own back, so let one of the two decide"
+        );
+        self.done
+            .report("pairs_reworded_over_others", reworded, message);
         let message = format!(
             "{replaced} pairs left the dataset for accepted pairs of the same ids and another source clip"
         );
@@ -468,12 +494,6 @@ impl Exporter<'_> {
             return Ok(Some(Judgement::Rejected([source_id, target_id])));
         }
         let said = accepted.answer.fields();
-        // If no parts are named, they follow from the extent.
-        let parts = match said.extent {
-            Some(Extent::Lower) if said.parts.is_empty() => vec!["LOWER_BODY".to_owned()],
-            Some(Extent::Upper) if said.parts.is_empty() => vec!["UPPER_BODY".to_owned()],
-            _ => said.parts.to_vec(),
-        };
         let kind = match accepted.task.kind {
             TaskKind::Style => "style",
             TaskKind::Pair | TaskKind::MaskText => "fine-grained",
@@ -486,7 +506,7 @@ impl Exporter<'_> {
             source_id,
             target_id,
             style: said.style.map(str::to_owned),
-            parts,
+            parts: stored_parts(&said),
             instruction: said.text.to_owned(),
             edit_type: said.edit_type.map(|kind| kind.to_string()),
             accepted_by: Some(accepted.accepted_by.clone()),
@@ -503,7 +523,7 @@ fn is_said(row: &MaskRow, answers: &[Answer]) -> bool {
         joints.hard().names() == row.hard_joints
             && joints.soft().names() == row.soft_joints
             && mask.range == range
-            && completion(&sentence(&mask.text)) == completion(&sentence(&row.text))
+            && stored_words(&mask.text) == stored_words(&row.text)
     })
 }
 
@@ -512,7 +532,7 @@ fn is_same(a: &MaskRow, b: &MaskRow) -> bool {
     a.hard_joints == b.hard_joints
         && a.soft_joints == b.soft_joints
         && (a.start, a.end) == (b.start, b.end)
-        && completion(&sentence(&a.text)) == completion(&sentence(&b.text))
+        && stored_words(&a.text) == stored_words(&b.text)
 }
 
 fn clips_of_pair(pair: &PairRow) -> [MotionId; 2] {

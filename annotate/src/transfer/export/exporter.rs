@@ -77,6 +77,8 @@ pub(super) struct Exporter<'a> {
     other: BTreeSet<String>,
     /// Keys of tasks whose two clips are in different splits.
     across: BTreeSet<String>,
+    /// Number of accepted answers that the last [`Self::each_accepted`] visited, by how they were accepted.
+    bases: BTreeMap<String, usize>,
     pub(super) done: Exported,
 }
 
@@ -91,6 +93,7 @@ impl<'a> Exporter<'a> {
             gone: BTreeSet::new(),
             other: BTreeSet::new(),
             across: BTreeSet::new(),
+            bases: BTreeMap::new(),
             done: Exported {
                 store: store.id()?,
                 seq: store.last_seq()?,
@@ -123,19 +126,19 @@ impl<'a> Exporter<'a> {
         self.done.report("pairs_across_splits", across, message);
     }
 
-    /// Adds to the result how answers were accepted, and how many were accepted before their clip was ingested again.
+    /// Adds to the result how the visited answers were accepted, and how many were accepted before their clip was ingested
+    /// again.
     pub(super) fn note_decisions(&mut self) -> Result<(), Error> {
         let mut own = 0;
-        for (basis, count) in self.store.accepted_by()? {
-            let count = usize::try_from(count).unwrap_or(0);
+        for (basis, count) in std::mem::take(&mut self.bases) {
             self.done.count(&format!("accepted_by {basis}"), count);
-            if matches!(basis.as_str(), "own" | "import:own") {
+            if matches!(basis.as_str(), "own" | "import:own" | "import.dataset:own") {
                 own += count;
             }
         }
         if own > 0 {
             self.done.messages.push(format!(
-                "{own} answers of the store were accepted by their own authors; `accepted_by` marks them"
+                "{own} exported answers were accepted by their own authors; `accepted_by` marks them"
             ));
         }
         let changed = self.store.changed_tasks()?;
@@ -286,8 +289,11 @@ impl<'a> Exporter<'a> {
         &mut self,
         mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), Error>,
     ) -> Result<(), Error> {
+        self.bases.clear();
         self.each_range(|exporter, keys| {
             for accepted in exporter.accepted(keys)? {
+                let count = exporter.bases.entry(accepted.basis.clone());
+                *count.or_default() += 1;
                 each(exporter, accepted)?;
             }
             Ok(())

@@ -266,11 +266,11 @@ pub fn check_pair(row: &PairRow) -> Result<(), Error> {
     meaning_of_pair(row).map(|_| ())
 }
 
-/// Checks the row of a mask by itself: not whether its motion exists, nor whether its range ends within the motion.
+/// Checks the row of a mask by itself: not whether its motion exists, nor whether its range ends within the motion. A
+/// range that is shorter than a window is counted where windows are drawn.
 ///
 /// # Errors
-/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range lacks an end, is empty or
-/// is too short.
+/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range lacks an end or is empty.
 pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
     row.range()
         .map_err(|source| unusable("mask", &row.id, source))?;

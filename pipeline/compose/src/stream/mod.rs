@@ -7,6 +7,7 @@ mod tests;
 use std::sync::Arc;
 
 use datasets_spec::record::WindowRow;
+use datasets_spec::sides::mirrored;
 use datasets_spec::{Rng, Seed};
 use kinematics::FrameParts;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
@@ -16,7 +17,6 @@ use rayon::prelude::*;
 use target::{Target, Targets};
 
 use super::draw::Shuffle;
-use super::instruction::mirrored;
 use super::library::{FrameRoom, Pairing, Subject};
 use super::window::{BlendPlan, Composer, Frame, Origin, PARTS_OF_ORIGINAL, both_parts};
 use super::{ComposeConfig, EditKind, Error, Library};

@@ -27,7 +27,7 @@ impl SolveError {
 }
 
 /// Joins the first 60 words, and says how many more there are.
-pub(super) fn some_of<'a>(words: impl Iterator<Item = &'a str>) -> String {
+pub(crate) fn some_of<'a>(words: impl Iterator<Item = &'a str>) -> String {
     const SHOWN: usize = 60;
     let words: Vec<&str> = words.collect();
     let mut text = match words.len() {

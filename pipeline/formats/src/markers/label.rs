@@ -5,25 +5,50 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::set::{MarkerSet, bare_label, marker_sets};
 use crate::source::unique_keys;
 
-/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as `LFEA`.
-pub fn is_model_output(label: &str) -> bool {
+/// The labels of points that are model outputs and not markers: those `listed` by the file, angles, forces, and the
+/// axes `O`, `A`, `L` and `P` of segments such as `LFE`, if all four are there. Labels of the user's set are markers.
+pub(crate) fn model_outputs<'a>(
+    labels: &'a [String],
+    listed: &BTreeSet<String>,
+    own: Option<&MarkerSet>,
+) -> BTreeSet<&'a String> {
+    let all: BTreeSet<String> = labels.iter().map(|label| label.to_uppercase()).collect();
+    let is_axis = |label: &str| {
+        let mut segment = label.to_uppercase();
+        segment.pop();
+        is_named_as_axis(label, own)
+            && ["O", "A", "L", "P"]
+                .iter()
+                .all(|axis| all.contains(&format!("{segment}{axis}")))
+    };
+    let is_own = |label: &str| own.is_some_and(|set| set.placement(&bare_label(label)).is_some());
+    let is_output = |label: &&String| {
+        !is_own(label) && (listed.contains(*label) || is_quantity(label) || is_axis(label))
+    };
+    labels.iter().filter(is_output).collect()
+}
+
+/// Whether a label names an angle, a force or the like.
+fn is_quantity(label: &str) -> bool {
     const QUANTITIES: [&str; 6] = ["ANGLE", "POWER", "FORCE", "MOMENT", "GRF", "CENTREOFMASS"];
+    let bare = bare_label(label);
+    QUANTITIES.iter().any(|quantity| bare.contains(quantity))
+}
+
+/// Whether a label could be that of an axis of a segment, and is not that of a known marker, such as one of a toe.
+fn is_named_as_axis(label: &str, own: Option<&MarkerSet>) -> bool {
     const SEGMENTS: [&str; 10] = [
         "HED", "CLO", "LCL", "RCL", "PEL", "TRX", "FE", "FO", "TI", "TO",
     ];
     const LIMBS: [&str; 7] = ["HN", "HU", "RA", "FE", "FO", "TI", "TO"];
     let bare = bare_label(label);
-    if QUANTITIES.iter().any(|quantity| bare.contains(quantity)) {
-        return true;
-    }
     let Some(segment) = bare.strip_suffix(['O', 'A', 'L', 'P']) else {
         return false;
     };
     let of_limb = segment
         .strip_prefix(['L', 'R'])
         .is_some_and(|limb| LIMBS.contains(&limb));
-    // A known marker, such as one of a toe, is not a segment axis.
-    segment.len() == 3 && (SEGMENTS.contains(&segment) || of_limb) && !is_known(&bare, None)
+    segment.len() == 3 && (SEGMENTS.contains(&segment) || of_limb) && !is_known(&bare, own)
 }
 
 /// Whether the user's set or a built-in set has this bare label.
@@ -183,18 +208,21 @@ mod tests {
 
     #[test]
     fn outputs_of_models_are_told_from_markers() {
-        for output in [
-            "LHipAngles",
-            "PELO",
-            "RFEA",
-            "LTOP",
-            "TRXL",
-            "RGroundReactionForce",
-        ] {
-            assert!(is_model_output(output), "{output}");
-        }
-        for marker in ["LTOE", "RASI", "CLAV", "C7", "LTHI", "point3", "RHEE"] {
-            assert!(!is_model_output(marker), "{marker}");
-        }
+        let words = |text: &str| -> Vec<String> { text.split(' ').map(str::to_owned).collect() };
+        let outputs = words(
+            "LHipAngles RGroundReactionForce PELO PELA PELL PELP Anna:rfeo Anna:rfea Anna:rfel Anna:rfep COM",
+        );
+        // A segment without all its axes is a marker, such as one on the foot, and so is what the user names.
+        let markers =
+            words("LTOE RASI CLAV C7 LTHI point3 RHEE RFOO LFOO LTIO LTIA LTIL Anna:PELO");
+        let labels = [outputs.clone(), markers].concat();
+        let listed = BTreeSet::from(["COM".to_owned()]);
+        let expected: BTreeSet<&String> = outputs.iter().collect();
+        assert_eq!(model_outputs(&labels, &listed, None), expected);
+        let joint = r#"{"joint": "left_knee", "offset": [0, 0, 0]}"#;
+        let own = format!(r#"{{"name": "own", "markers": {{"COM": {joint}, "PELA": {joint}}}}}"#);
+        let own = MarkerSet::parse(&own).expect("a set");
+        let found = model_outputs(&labels, &listed, Some(&own));
+        assert_eq!(found.len(), outputs.len() - 2, "{found:?}");
     }
 }

@@ -10,7 +10,7 @@ mod worn;
 
 pub use capture::{Capture, CaptureUnit};
 pub(crate) use capture::{MAX_DISTANCE_M, Positions, UNIT_CODE, unique_labels};
-pub use label::is_model_output;
-pub(crate) use label::{keys, subject_of};
+pub(crate) use error::some_of;
+pub(crate) use label::{keys, model_outputs, subject_of};
 pub use part::Part;
 pub use set::{MarkerSet, MarkerSetError, Placement, bare_label, marker_sets};

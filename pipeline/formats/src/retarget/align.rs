@@ -99,6 +99,14 @@ fn heading(direction: DVec3) -> f64 {
     direction.x.atan2(direction.z)
 }
 
+/// The axis along which the person stands in a zero pose; `None` if no zero pose shows a standing person.
+pub(super) fn up_of_rests(track: &Track) -> Option<Up> {
+    let stands = |rest: &&TrackRest| standing_torso(&rest.points, track).is_some();
+    let zero = &track.rests.iter().find(stands)?.points;
+    let top = if track.is_located(15) { 15 } else { 12 };
+    Some(Up::nearest(zero[top] - zero[1].midpoint(zero[2])))
+}
+
 /// The orientation of the torso in a zero pose that shows a standing person; `None` if it does not.
 fn standing_torso(zero: &[DVec3; NUM_BODY_JOINTS], track: &Track) -> Option<DQuat> {
     /// Limits on cosines: legs splay by 20 degrees in the CMU skeleton, arms of A-poses hang by 45, and arms of some

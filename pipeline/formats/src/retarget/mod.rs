@@ -148,11 +148,19 @@ fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
 }
 
 /// Rotates a track to y up, with a note if another axis was up. Returns whether the axis is doubtful: it is the one along
-/// which the person stands, and they do not stand upright most of the time.
+/// which the person stands, and they do not stand upright most of the time, or another one than y that is not that of a
+/// standing zero pose.
 fn set_upright(track: &mut Track, stated_up: Option<Up>, notes: &mut Vec<String>) -> bool {
     let (up, is_clear) = match stated_up {
         Some(up) => (up, true),
-        None => align::up_of_source(mean_up(track)),
+        None => {
+            let (up, is_clear) = align::up_of_source(mean_up(track));
+            let of_rest = align::up_of_rests(track);
+            (
+                up,
+                is_clear && (up == Up::Y || of_rest.is_none_or(|rest| rest == up)),
+            )
+        }
     };
     if up != Up::Y {
         track.turn(up.turn());

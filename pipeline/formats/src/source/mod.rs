@@ -186,6 +186,8 @@ pub fn read_clip(
     if let Err(rejected) = refuse_pointer(bytes) {
         return Outcome::Rejected(rejected);
     }
+    let of_file = labels::options_of(path, companions, options);
+    let options = of_file.as_ref();
     let mut outcome = (format.read)(path, key, bytes, options);
     if let (Outcome::Clip(clip), Some(assumed)) = (&mut outcome, format.assumed_up)
         && let Err(rejected) = assumed_up::settle(clip, assumed, options)

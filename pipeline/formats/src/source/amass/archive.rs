@@ -46,6 +46,7 @@ pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected>
                 poses.width()
             )
         })?;
+        check_parts(&mut archive, bytes, &poses)?;
         (variant, poses.clone(), poses, 3)
     } else {
         let root = matrix(&mut archive, bytes, "root_orient")?;
@@ -180,6 +181,34 @@ fn matrix<'a>(
     })
 }
 
+/// Refuses an archive whose parts of the poses in arrays of their own differ from `poses`.
+fn check_parts<'a>(
+    archive: &mut Archive<Cursor<&'a [u8]>>,
+    bytes: &'a [u8],
+    poses: &Rows<'a>,
+) -> Result<(), Rejected> {
+    /// Larger than what rounding to single precision makes of an angle in radians.
+    const TOLERANCE: f64 = 1e-4;
+    for (key, from, width) in [("root_orient", 0, 3), ("pose_body", 3, BODY_POSE_WIDTH)] {
+        if !archive.has(key) {
+            continue;
+        }
+        let part = matrix(archive, bytes, key)?;
+        let frames = part.num_rows().min(poses.num_rows());
+        let width = width.min(part.width());
+        for (frame, column) in (0..frames * width).map(|at| (at / width, at % width)) {
+            let ([own], [other]) = (part.get(frame, column), poses.get(frame, from + column));
+            if (own - other).abs() > TOLERANCE {
+                return Err(rejected!(
+                    "E-AMASS-KEYS",
+                    "found {own} in frame {frame} of {key} and {other} in poses, expected the same"
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Shape parameters of the subject's body; empty if the archive has none that can be read.
 fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
     let betas = archive.numbers("betas").map(|array| array.values);
@@ -207,19 +236,35 @@ fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String
 /// The frame rate an archive states, in 1/s.
 ///
 /// # Errors
-/// `E-AMASS-FPS` if the rate is missing or implausible, or those of [`npy`].
+/// `E-AMASS-FPS` if the rate is missing or implausible, or if both keys state one and they differ, or those of [`npy`].
 pub fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
-    let key = FPS_KEYS
-        .into_iter()
-        .find(|key| archive.has(key))
-        .ok_or_else(|| {
-            rejected!(
-                "E-AMASS-FPS",
-                "found keys {}, expected {}",
-                archive.keys().join(", "),
-                FPS_KEYS.join(" or ")
-            )
-        })?;
+    /// Relative difference that is larger than rounding to single precision.
+    const TOLERANCE: f64 = 1e-6;
+    let mut keys = FPS_KEYS.to_vec();
+    keys.retain(|key| archive.has(key));
+    match keys[..] {
+        [] => Err(rejected!(
+            "E-AMASS-FPS",
+            "found keys {}, expected {}",
+            archive.keys().join(", "),
+            FPS_KEYS.join(" or ")
+        )),
+        [key, other, ..] => {
+            let (fps, again) = (read_rate(archive, key)?, read_rate(archive, other)?);
+            match (fps / again - 1.0).abs() <= TOLERANCE {
+                true => Ok(fps),
+                false => Err(rejected!(
+                    "E-AMASS-FPS",
+                    "found {key} {fps} and {other} {again}, expected the same rate"
+                )),
+            }
+        }
+        [key] => read_rate(archive, key),
+    }
+}
+
+/// The rate under a key.
+fn read_rate<R: Read + Seek>(archive: &mut Archive<R>, key: &str) -> Result<f64, Rejected> {
     let rate = archive.numbers(key)?;
     let value = rate.values.first().copied().unwrap_or(f64::NAN);
     if rate.values.len() == 1 && (MIN_FPS..=MAX_FPS).contains(&value) {

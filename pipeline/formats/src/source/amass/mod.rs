@@ -63,6 +63,9 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome,
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.source_frames = 0..num_frames;
     clip.source_fps = source_fps;
+    clip.stated_fps = Fps::new(known.unwrap_or(stated))
+        .ok()
+        .filter(|_| rate.is_none());
     parameters.describe(&mut clip, skeleton, options);
     clip.notes.extend(subset_note(path));
     if let Some(known) = known {

@@ -179,6 +179,28 @@ fn what_is_wrong_is_rejected_by_code() {
 }
 
 #[test]
+fn arrays_that_contradict_each_other_are_refused_with_both_numbers() {
+    let poses = npy::read_numbers("poses", &clip_members(3, 156)[0].1).expect("valid");
+    let mut body: Vec<f64> = poses
+        .values
+        .chunks_exact(156)
+        .flat_map(|row| row[3..66].to_vec())
+        .collect();
+    let read = |body: &[f64], fps: f64| {
+        let mut members = clip_members(3, 156);
+        members.push(("pose_body", npy_f8(&[3, 63], body)));
+        members.push(("mocap_frame_rate", npy_f8(&[], &[fps])));
+        read_members(&members)
+    };
+    assert!(read(&body, 120.000_045_776).is_ok(), "the same twice");
+    let rejected = read(&body, 60.0).expect_err("two rates");
+    assert_refused(&rejected, "E-AMASS-FPS", "mocap_frame_rate 60");
+    body[63] += 0.5;
+    let rejected = read(&body, 120.000_045_776).expect_err("two poses");
+    assert_refused(&rejected, "E-AMASS-KEYS", "in frame 1 of pose_body");
+}
+
+#[test]
 fn shapes_without_motion_are_passed_over() {
     let numbers = || npy_f8(&[16], &[0.0; 16]);
     for keys in [&["betas"][..], &["betas", "gender", "markers_latent"]] {

@@ -14,9 +14,9 @@ use glam::DVec3;
 use self::parameters::{BLOCK, Parameters, Processor};
 use super::format::{Format, plausible_fps};
 use super::options::ReadOptions;
-use super::unit::Unit;
 use crate::markers::{
-    self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE, is_model_output,
+    self, Capture, CaptureUnit, MAX_DISTANCE_M, MarkerSet, Positions, UNIT_CODE, model_outputs,
+    some_of,
 };
 use clip::{Outcome, Rejected, rejected};
 
@@ -40,7 +40,7 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, R
     let Some(layout) = Layout::find(bytes, &header, &parameters)? else {
         return Ok(None);
     };
-    layout.read(bytes, processor, &parameters, options.unit)
+    layout.read(bytes, processor, &parameters, options)
 }
 
 /// The processor of a file and its parameters.
@@ -167,12 +167,15 @@ impl Layout {
         bytes: &[u8],
         processor: Processor,
         parameters: &Parameters<'_>,
-        by_user: Option<Unit>,
+        options: &ReadOptions,
     ) -> Result<Option<Capture>, Rejected> {
-        let (labels, kept) = labels_of_markers(parameters, self.points);
+        let by_user = options.unit;
+        let own = options.markers.as_ref();
+        let (labels, kept, note) = labels_of_markers(parameters, self.points, own);
         if labels.is_empty() {
             return Ok(None);
         }
+        self.notes.extend(note);
         let raw = self.raw_positions(bytes, processor);
         let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
         let seen = raw.iter().filter(|point| point.residual >= 0.0);
@@ -372,24 +375,31 @@ fn labels(parameters: &Parameters<'_>, points: usize) -> Vec<String> {
     markers::unique_labels((0..points).map(label))
 }
 
-/// Names of the points that are markers, and which points these are.
-fn labels_of_markers(parameters: &Parameters<'_>, points: usize) -> (Vec<String>, Vec<usize>) {
+/// Names of the points that are markers, which points these are, and a note on the others.
+fn labels_of_markers(
+    parameters: &Parameters<'_>,
+    points: usize,
+    own: Option<&MarkerSet>,
+) -> (Vec<String>, Vec<usize>, Option<String>) {
     let labels = labels(parameters, points);
-    let outputs = parameters.model_outputs();
-    let is_marker = |label: &String| !outputs.contains(label) && !is_model_output(label);
+    let outputs = model_outputs(&labels, &parameters.model_outputs(), own);
     let kept: Vec<usize> = (0..points)
-        .filter(|point| is_marker(&labels[*point]))
+        .filter(|point| !outputs.contains(&labels[*point]))
         .collect();
-    let labels = kept.iter().map(|point| labels[*point].clone()).collect();
-    (labels, kept)
+    let note = (!outputs.is_empty()).then(|| {
+        let outputs = some_of(outputs.iter().map(|label| label.as_str()));
+        format!("left out as outputs of a model, not markers: {outputs}")
+    });
+    let markers = kept.iter().map(|point| labels[*point].clone()).collect();
+    (markers, kept, note)
 }
 
 /// Names of the markers of a file; `None` if it cannot be read or has no points.
-fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
+fn marker_labels(bytes: &[u8], own: Option<&MarkerSet>) -> Option<Vec<String>> {
     let (processor, parameters) = parameters(bytes).ok()?;
     let header = Header::read(bytes, processor);
     let layout = Layout::find(bytes, &header, &parameters).ok()??;
-    Some(labels_of_markers(&parameters, layout.points).0)
+    Some(labels_of_markers(&parameters, layout.points, own).0)
 }
 
 /// C3D: marker positions of an optical capture.
@@ -397,8 +407,9 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 pub const FORMAT: Format = Format {
     extensions: &["c3d"],
     keys: Some(|bytes, options| {
-        let labels = marker_labels(bytes).unwrap_or_default();
-        markers::keys(&labels, options.markers.as_ref())
+        let own = options.markers.as_ref();
+        let labels = marker_labels(bytes, own).unwrap_or_default();
+        markers::keys(&labels, own)
     }),
     capture: Some(capture),
     read: |_, key, bytes, options| match capture(bytes, options) {

@@ -1,16 +1,16 @@
 //! Clips cut from a recording.
 
 use datasets_spec::Fps;
+use datasets_spec::sides::mirrored;
 use datasets_spec::table::Caption;
 use glam::{DMat3, DQuat, DVec3};
 
-use super::mirror::swap_sides;
 use crate::source::amass::Parameters;
 use crate::source::files::Files;
 use crate::source::humanml3d::{self, IndexRow};
 use crate::source::options::ReadOptions;
 use clip::check::FLAG_FPS_DOUBTFUL;
-use clip::{Rejected, RotationSource, SourceClip, rejected};
+use clip::{Rejected, RotationSource, SourceClip, rejected, true_rate_note};
 
 /// Number of frames that a crop may lack at its end without a note: rounding a rate can cost one.
 const END_TOLERANCE: usize = 1;
@@ -34,14 +34,14 @@ impl Crop {
         files: &Files,
         is_mirrored: bool,
     ) -> Result<(Vec<Caption>, Option<String>), Rejected> {
-        let [own, mirrored] = &self.texts;
-        match (is_mirrored, own, mirrored) {
+        let [own, image] = &self.texts;
+        match (is_mirrored, own, image) {
             (false, Some(file), _) | (true, _, Some(file)) => humanml3d::read_captions(files, file),
             (true, Some(file), None) => {
                 let (captions, note) = humanml3d::read_captions(files, file)?;
                 let swapped = captions.into_iter().map(|caption| Caption {
-                    text: swap_sides(&caption.text),
-                    tokens: swap_sides(&caption.tokens),
+                    text: mirrored(&caption.text),
+                    tokens: mirrored(&caption.tokens),
                     ..caption
                 });
                 Ok((swapped.collect(), note))
@@ -113,6 +113,7 @@ pub(super) fn cut(
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     let last = frames.last().copied().unwrap_or(0);
     clip.source_frames = frames.first().copied().unwrap_or(0)..last + 1;
+    clip.source_fps = Fps::new(stated).unwrap_or(fps);
     parameters.describe(&mut clip, skeleton, options);
     clip.notes.push(format!(
         "cut from {} of subset {}: every {stride}. frame of {stated} fps, frames {}..{} after a \
@@ -144,18 +145,7 @@ pub(super) fn cut(
                 .to_owned(),
         );
     }
-    if true_rate_differs(stated, fps, stride) {
-        clip.notes.push(format!(
-            "its true rate is {} fps, stored as {} as published",
-            stated / stride as f64,
-            fps.get()
-        ));
-    }
+    clip.notes
+        .extend(true_rate_note(stated / stride as f64, fps));
     Ok(clip)
-}
-
-/// Whether taking every `stride`-th frame misses the nominal rate by more than rounding.
-fn true_rate_differs(stated: f64, fps: Fps, stride: usize) -> bool {
-    const TOLERANCE: f64 = 1e-3;
-    (stated / stride as f64 / fps.get() - 1.0).abs() > TOLERANCE
 }

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 use testkit::{npy_f8, npz, put};
 
 use super::crop::frames_of;
-use super::mirror::{mirror, mirrored_body, swap_sides};
+use super::mirror::{mirror, mirrored_body};
 use super::*;
 use crate::Error;
 use crate::source::amass::tests::clip_members;
@@ -129,6 +129,29 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
 }
 
 #[test]
+fn a_crop_states_the_rate_of_its_file_and_which_frames_it_takes() {
+    let mut members = clip_members(240, 156);
+    members.retain(|(name, _)| *name != "mocap_framerate");
+    members.push(("mocap_framerate", npy_f8(&[], &[119.99])));
+    let tree = Tree::new(&[
+        ("KIT/3/kick_left_poses.npz", npz(&members)),
+        index(&["./pose_data/KIT/3/kick_left_poses.npy,5,25,000000.npy"]),
+    ]);
+    let clip = tree.clip("000000");
+    assert_eq!(
+        (clip.source_fps.get(), clip.motion.fps()),
+        (119.99, Fps::STORE)
+    );
+    assert_says(&clip, "its true rate is 23.99");
+    // Every fifth frame is taken, not every 5.9995th.
+    assert_eq!(clip.source_frames, 25..121);
+    assert_eq!(
+        [0.0, 1.0, 19.0].map(|frame| clip.source_frame(frame)),
+        [25, 30, 120]
+    );
+}
+
+#[test]
 fn features_are_those_of_the_own_body_where_models_are_given() {
     let mut members = clip_members(240, 165);
     members.push(("betas", npy_f8(&[2], &[2.0, 0.0])));
@@ -234,35 +257,7 @@ fn rates_and_crops_that_leave_nothing_are_rejected_by_code() {
     assert!(matches!(found.err(), Some(Error::Index { .. })));
 }
 
-#[test]
-fn sides_and_turns_change_places() {
-    for (text, swapped) in [
-        ("Left arm, then right-hand.", "Right arm, then left-hand."),
-        ("turns clockwise", "turns counterclockwise"),
-        ("counter-clockwise circle", "clockwise circle"),
-        ("Counter clockwise; anticlockwise", "Clockwise; clockwise"),
-        ("left/ADJ right/ADV walk", "right/ADJ left/ADV walk"),
-        ("an upright, bright man", "an upright, bright man"),
-        ("leftward and rightwards", "rightward and leftwards"),
-        ("counter the clock", "counter the clock"),
-        ("l\u{e9}ft \u{2192} left", "l\u{e9}ft \u{2192} right"),
-    ] {
-        assert_eq!(swap_sides(text), swapped, "{text}");
-    }
-}
-
 proptest! {
-    #[test]
-    fn swapping_twice_gives_the_text_back(text in "[a-z ,.]{0,20}(left|right| clockwise|x)[ .]{0,3}") {
-        prop_assume!(!text.contains("counter") && !text.contains("anti"));
-        prop_assert_eq!(swap_sides(&swap_sides(&text)), text);
-    }
-
-    #[test]
-    fn any_text_is_swapped_without_panic(text in any::<String>()) {
-        let _ = swap_sides(&text);
-    }
-
     #[test]
     fn a_mirrored_motion_on_a_mirrored_body_has_mirrored_joints(
         angles in prop::collection::vec(prop::array::uniform3(-1.5f64..1.5), 22),

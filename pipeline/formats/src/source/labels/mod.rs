@@ -9,8 +9,10 @@ mod license_text;
 mod pattern;
 mod toml_file;
 
+use std::borrow::Cow;
 use std::path::Path;
 
+use datasets_spec::table::Caption;
 use datasets_spec::{BodyPart, MotionId};
 
 use self::bandai_namco::BandaiNamcoLabel;
@@ -21,6 +23,7 @@ pub use self::folder::{FolderLabels, is_label_file, names_in_folder};
 pub use self::pattern::{is_pattern, matches};
 use crate::sidecar::{LabelCaption, Sidecar};
 use crate::source::head::{UTF8_BOM, refuse_pointer};
+use crate::source::options::ReadOptions;
 use clip::{LabelProblem, RotationSource, SourceClip};
 
 /// Reads a file beside a motion by its name; `None` if it does not exist.
@@ -49,10 +52,15 @@ pub fn attach(
     }
     let captions_name = format!("{stem}.txt");
     if let Some(bytes) = companions(&captions_name) {
-        let (captions, problem) = captions_beside(&bytes);
+        let (mut captions, problem) = captions_beside(&bytes);
         let file = beside(path, &captions_name);
-        let problem = problem.map(|reason| LabelProblem { file, reason });
-        clip.label_problems.extend(problem);
+        let times = captions.iter_mut().filter_map(clear_wrong_times);
+        let reasons = problem.into_iter().chain(times);
+        clip.label_problems
+            .extend(reasons.map(|reason| LabelProblem {
+                file: file.clone(),
+                reason,
+            }));
         let captions = captions.into_iter().map(Into::into).collect();
         take_captions(&mut clip, captions);
     }
@@ -157,6 +165,26 @@ pub fn stated_ids(path: &Path, companions: &Companions<'_>) -> (Option<String>, 
     (sidecar.id, sidecar.mirrored_of)
 }
 
+/// The options for a motion file: its sidecar may state the up axis, which the user's option replaces.
+pub fn options_of<'a>(
+    path: &Path,
+    companions: &Companions<'_>,
+    options: &'a ReadOptions,
+) -> Cow<'a, ReadOptions> {
+    if options.up.is_some() {
+        return Cow::Borrowed(options);
+    }
+    // `attach` reports a sidecar that cannot be used.
+    let (sidecar, _) = sidecar(path, companions);
+    match sidecar.up {
+        None => Cow::Borrowed(options),
+        up => Cow::Owned(ReadOptions {
+            up,
+            ..options.clone()
+        }),
+    }
+}
+
 /// The path of a file beside a motion. Paths of sources have `/` on every system.
 fn beside(path: &Path, name: &str) -> String {
     let path = path.to_string_lossy();
@@ -206,6 +234,19 @@ pub fn names_beside(path: &Path) -> [String; 3] {
     [Sidecar::SUFFIX, ".txt", ".json"].map(|end| format!("{stem}{end}"))
 }
 
+/// Takes a caption with an impossible time for one of the whole clip, and says so.
+fn clear_wrong_times(caption: &mut Caption) -> Option<String> {
+    let (from, to) = (caption.from_s, caption.to_s);
+    let is_span = from.is_finite() && to.is_finite() && from >= 0.0 && from <= to;
+    (!is_span).then(|| {
+        (caption.from_s, caption.to_s) = (0.0, 0.0);
+        format!(
+            "caption {:?} is from {from} s to {to} s, expected a time after another; it is taken for the whole clip",
+            caption.text
+        )
+    })
+}
+
 fn stem_of(path: &Path) -> String {
     let stem = path.file_stem().map(|stem| stem.to_string_lossy());
     stem.unwrap_or_default().into_owned()
@@ -222,15 +263,8 @@ impl Sidecar {
                 report("a caption has no text".to_owned());
                 return false;
             }
-            let (from, to) = (caption.from_s, caption.to_s);
-            let is_span = from.is_finite() && to.is_finite() && from >= 0.0 && from <= to;
-            if !is_span {
-                report(format!(
-                    "caption {:?} is from {from} s to {to} s, expected a time after another; it is taken \
-                     for the whole clip",
-                    caption.text
-                ));
-                (caption.from_s, caption.to_s) = (0.0, 0.0);
+            if let Some(reason) = clear_wrong_times(caption) {
+                report(reason);
             }
             true
         });
@@ -478,6 +512,20 @@ mod tests {
         assert_eq!(clip.action.as_deref(), Some("wave"));
         let problem = clip.label_problems[0].to_string();
         assert!(problem.starts_with("a/clip.txt: line 3: "), "{problem}");
+    }
+
+    #[test]
+    fn impossible_times_in_a_text_file_are_reported() {
+        let text = b"turned#a/DET#3.0#1.0\nearly#a/DET#-1.0#2.0\nfine#a/DET#1.0#2.0\n";
+        let beside = |name: &str| (name == "clip.txt").then(|| text.to_vec());
+        let clip = labelled("a/clip.bvh", &beside, &ClipLabels::default());
+        let captions = clip.captions.iter();
+        let times: Vec<(f32, f32)> = captions.map(|said| (said.from_s, said.to_s)).collect();
+        assert_eq!(times, [(0.0, 0.0), (0.0, 0.0), (1.0, 2.0)]);
+        let problems = clip.label_problems.iter().map(ToString::to_string);
+        let problems: Vec<String> = problems.collect();
+        assert_eq!(problems.len(), 2, "{problems:?}");
+        assert!(problems[0].starts_with("a/clip.txt: caption \"turned\" is from 3 s to 1 s"));
     }
 
     #[test]
