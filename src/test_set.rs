@@ -8,7 +8,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use compose::{COMPOSED, ItemConfig, ItemCount, Novelty};
 use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
-use datasets_spec::store::replace_file;
+use datasets_spec::store::{ByPath, Store as _};
 use datasets_spec::{Seed, Split};
 use pipeline::stage::ItemsFolder;
 use serde::{Deserialize, Serialize};
@@ -95,8 +95,12 @@ impl TestSet {
         let mut text = serde_json::to_string_pretty(&self)?;
         text.push('\n');
         let path = items.join(FILE);
-        replace_file(&path, text.as_bytes())
-            .with_context(|| format!("cannot write {}", path.display()))
+        let write = || {
+            let mut file = ByPath.create(&path)?;
+            std::io::Write::write_all(&mut file, text.as_bytes())?;
+            file.publish()
+        };
+        write().with_context(|| format!("cannot write {}", path.display()))
     }
 }
 
