@@ -1,14 +1,17 @@
 //! Services of the process for the library crates: signals, clock, progress sink.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
 
+use anyhow::bail;
 use datasets_spec::Progress;
 use remote_store::hub::HubCache;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use train::Session;
+use train::registry::has_frozen_text;
 use train::text::source::TextEncoderSource;
 use train::work::Surroundings;
 
@@ -72,9 +75,21 @@ pub(crate) fn surroundings() -> Surroundings {
 }
 
 /// Source of a frozen text encoder: the user's path, or otherwise CLIP in the hub's cache.
-pub(crate) fn text_encoder(given: Option<&std::path::Path>) -> TextEncoderSource {
+pub(crate) fn text_encoder(given: Option<&Path>) -> TextEncoderSource {
     TextEncoderSource {
-        given: given.map(std::path::Path::to_owned),
+        given: given.map(Path::to_owned),
         cache: hub_cache(),
     }
+}
+
+/// Refuses a text encoder that a trained run would ignore, because it has learned its words. A plan has one text
+/// encoder for all its systems, so only one that is given to this run must be used.
+pub(crate) fn refuse_unused_encoder(run: &Path, given: Option<&Path>) -> anyhow::Result<()> {
+    if given.is_some() && !has_frozen_text(run)? {
+        bail!(
+            "the run {} makes no use of --text-encoder; leave it out",
+            run.display()
+        );
+    }
+    Ok(())
 }

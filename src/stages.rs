@@ -118,8 +118,16 @@ pub(crate) fn items(
         ));
     }
     if let Some(count) = drawn.fewer {
+        let parts = drawn.of_novelty.iter();
+        let parts: Vec<String> = parts
+            .map(|(novelty, count)| format!("{count} {}", novelty.as_str()))
+            .collect();
+        let by_novelty = match parts.is_empty() {
+            true => String::new(),
+            false => format!(": {}", parts.join(", ")),
+        };
         report::note(&format!(
-            "split {split} of {} gives {count} different items, {} were asked for",
+            "split {split} of {} gives {count} different items, {} were asked for{by_novelty}",
             dataset.root().display(),
             config.count
         ));

@@ -1,6 +1,7 @@
 //! Sets of test items without their motions: what draws the same items again from the same dataset.
 //!
-//! `stance items` writes one beside the items, so that people can ask the same questions of motions that nobody may pass on.
+//! `stance items` writes one beside the items, so that others can draw the same questions where the motions may not be
+//! shared.
 //! One comes with the program; its corpus and dataset follow from seed 0 as well.
 
 use std::path::Path;

@@ -97,8 +97,8 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         && (imported.note.is_empty() || ours.note == imported.note)
 }
 
-/// Whether the tables of a dataset would hold the same of two answers. They hold whole sentences, the masks that have a
-/// text, and the parts that an extent names, and neither notes nor reasons.
+/// Whether two answers become equal rows in a dataset. Its tables hold texts as whole sentences and parts in place of an
+/// extent; they have neither notes, nor reasons, nor masks without a text.
 pub(crate) fn are_stored_alike(a: &Answer, b: &Answer) -> bool {
     let masks = |answer: &Answer| {
         let masks = answer.fields().masks.iter();
@@ -317,7 +317,7 @@ pub(crate) fn completion(text: &str) -> &str {
     }
 }
 
-/// Words of more than four letters in -ing that continue no sentence.
+/// Words in -ing, of more than four letters, that are no gerunds.
 const NO_GERUNDS: [&str; 11] = [
     "bring", "cling", "during", "fling", "sling", "spring", "sting", "string", "swing", "thing",
     "wring",

@@ -332,7 +332,7 @@ mod tests {
             assert!((found - expected).abs() < 1e-12, "{a:?} {b:?}: {found}");
         }
         assert!((jaccard(arm, arms) - 0.5).abs() < 1e-12);
-        // The first halves of clips of 40 and of 90 frames are the same share.
+        // Half of a clip of 40 frames is as much as half of one of 90.
         let (short, long) = (stretched(&[begin], 90), stretched(&[(arm, [0, 45])], 40));
         assert_eq!(short, long);
     }

@@ -8,8 +8,7 @@ names! {
     pub enum LogKind {
         /// A task was created.
         Imported = "imported",
-        /// An imported answer was accepted for a task that nobody had worked on, if need be in place of a label of the
-        /// dataset.
+        /// An imported answer was accepted for a task that nobody had worked on. It may replace a label of the dataset.
         Filled = "filled",
         /// A clip of the task was ingested again with other content.
         ClipChanged = "clip_changed",

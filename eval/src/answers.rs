@@ -1,12 +1,12 @@
 //! Tables of edits: reading, checking, scoring, and committing the scores.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::dataset::{commit_rows, refuse_others};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
-use datasets_spec::table::Row;
+use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, Progress, Skeleton};
 
 use crate::Error;
@@ -14,7 +14,7 @@ use crate::compare::Comparison;
 use crate::evaluators::Evaluators;
 use crate::judge::{Judge, Judges, unranked};
 use crate::metric;
-use crate::names::ALL_TASKS;
+use crate::names::{ALL_TASKS, GIVEN};
 use crate::protocol::Protocol;
 use crate::score::score;
 use crate::table::Table;
@@ -88,6 +88,22 @@ impl Scores {
             QuarantineRow::TABLE,
         ];
         Ok(refuse_others(out, &own, "scores")?)
+    }
+
+    /// The systems whose scores a folder holds, and the version of the folder; `None` if it holds none.
+    ///
+    /// # Errors
+    /// The folder is no dataset and holds files that one would replace, or it cannot be read.
+    pub fn held_in(out: &Path) -> Result<Option<(BTreeSet<String>, u64)>, Error> {
+        let Some(held) = Dataset::held_in(out)? else {
+            return Ok(None);
+        };
+        let mut systems = BTreeSet::new();
+        for (path, _) in held.files(ScoreRow::TABLE, None) {
+            systems.extend(read_column::<ScoreRow, String>(&path, "system")?);
+        }
+        systems.retain(|system| !GIVEN.contains(&system.as_str()));
+        Ok((!systems.is_empty()).then(|| (systems, held.manifest().version)))
     }
 
     /// Commits the scores as a separate dataset.

@@ -13,14 +13,11 @@ use crate::format::csv::line;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
 use crate::metric::fid::{self, FID, MIN_ROWS};
-use crate::metric::interval::{MIN_TARGETS, mean};
+use crate::metric::interval::{Interval, MIN_TARGETS, mean};
 use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
-use crate::protocol::{FidSample, Protocol, Spread};
+use crate::protocol::{FidSample, PAIR_RESAMPLES, Protocol, Spread};
 use crate::score::{OfItems, OfTask, Resamples, System, TestSet, drawn, measured};
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
-
-/// Number of resamples for the interval of a Fréchet distance; each decomposes up to three large matrices.
-const FID_RESAMPLES: usize = 200;
 
 /// Header of [`Comparison::csv`]. The columns of the table of scores have the same names there (`format::csv`).
 const CSV_HEAD: &str = "task,system_a,system_b,metric,protocol,encoder_hash,n,targets,items_digest,\
@@ -84,9 +81,10 @@ pub struct Comparison {
 /// Compares two systems item by item.
 ///
 /// The bootstrap draws targets with replacement, together with all items that share them, and uses the same draws for
-/// both systems. The interval spans the 2.5 to 97.5 % quantiles of the difference (Efron 1979). An item's rank is its
-/// mean over the repeats that ranked it. The Fréchet distance always compares all real motions with all motions of a
-/// system, whatever the protocol says; its name states this.
+/// both systems. The interval spans the 2.5 to 97.5 % quantiles of the difference (Efron 1979); that of the Fréchet
+/// distance is 1.96 standard deviations about the difference. An item's rank is its mean over the repeats that ranked
+/// it. The Fréchet distance always compares all real motions with all motions of a system, whatever the protocol says;
+/// its name states this.
 ///
 /// # Errors
 /// As [`crate::score::score`]; or the edits lack one of the systems.
@@ -139,9 +137,10 @@ fn compared(
         differences.extend(fid_difference(task, &real.unit, sides, resamples)?);
     }
     differences.extend(of_task.pairing(pair).differences(metric::ALL));
-    let protocol = whole_sets(of_task.protocol);
+    let protocol = whole_sets(of_task.protocol).name_of_comparison(num_items);
+    let protocol = of_task.named(protocol);
     let unranked = of_task.unranked(encoder);
-    let mut comparison = Comparison::new(of_task, pair, &protocol, encoder, unranked, differences);
+    let mut comparison = Comparison::new(of_task, pair, protocol, encoder, unranked, differences);
     if let Some(note) = shortage_of_fid(FID_NAME, num_items, width) {
         comparison.notes.insert(0, note);
     }
@@ -246,19 +245,18 @@ fn fid_difference(
     let all: Vec<usize> = (0..real.num_rows()).collect();
     let values = both(&all)?;
     let draws: Vec<Vec<usize>> = resamples
-        .weights(FID_RESAMPLES)
+        .weights(PAIR_RESAMPLES)
         .map(|weights| drawn(&all, &weights))
         .filter(|drawn| drawn.len() >= MIN_ROWS)
         .collect();
-    let mut resampled = draws
+    let resampled = draws
         .par_iter()
         .map(|drawn| both(drawn).map(|[a, b]| b - a))
         .collect::<Result<Vec<f64>, Error>>()?;
     Ok((!resampled.is_empty()).then(|| {
-        let interval = interval(
-            &mut resampled,
-            resamples.num_targets(&vec![0.0; real.num_rows()]),
-        );
+        let difference = values[1] - values[0];
+        let targets = resamples.num_targets(&vec![0.0; real.num_rows()]);
+        let interval = interval_about(difference, &resampled, targets);
         Difference {
             items: real.num_rows(),
             ..Difference::new(FID_NAME, &FID, (FID.better)(task), values, interval)
@@ -274,6 +272,14 @@ fn interval(resampled: &mut [f64], targets: usize) -> Option<[f64; 2]> {
     })
 }
 
+/// Ends of an interval about a difference in FID; `None` if there are too few targets. Drawing with replacement inflates
+/// FID, for each system by another amount, so the quantiles need not enclose the difference.
+fn interval_about(difference: f64, resampled: &[f64], targets: usize) -> Option<[f64; 2]> {
+    let half = Interval::of_resamples(difference, resampled, &[]).ci95;
+    let half = half.unwrap_or(0.0);
+    (targets >= MIN_TARGETS as usize).then_some([difference - half, difference + half])
+}
+
 impl Difference {
     fn new(
         name: &str,
@@ -282,8 +288,9 @@ impl Difference {
         [a, b]: [f64; 2],
         interval: Option<[f64; 2]>,
     ) -> Self {
-        let rises = interval.is_some_and(|[low, _]| low > 0.0);
-        let falls = interval.is_some_and(|[_, high]| high < 0.0);
+        // The quantiles of few, uneven values may lie on the other side of 0 than the difference.
+        let rises = b > a && interval.is_some_and(|[low, _]| low > 0.0);
+        let falls = b < a && interval.is_some_and(|[_, high]| high < 0.0);
         let better = match better {
             Better::Higher if rises => Some("B"),
             Better::Higher if falls => Some("A"),
@@ -318,12 +325,12 @@ impl Difference {
 }
 
 impl Comparison {
-    /// A comparison of two systems of a task, given by their positions. `unranked` says why the encoder ranks no systems
-    /// of the task, if it does not; then no system is called better.
+    /// A comparison of two systems of a task, given by their positions. `protocol` is in words. `unranked` says why the
+    /// encoder ranks no systems of the task, if it does not; then no system is called better.
     pub(crate) fn new(
         of_task: &OfTask<'_>,
         pair: [usize; 2],
-        protocol: &Protocol,
+        protocol: String,
         encoder: &dyn MotionEncoder,
         unranked: Option<String>,
         mut differences: Vec<Difference>,
@@ -340,7 +347,7 @@ impl Comparison {
             targets: counts.targets,
             items_digest: counts.digest.clone(),
             systems: pair.map(|place| of_task.systems[place].name.to_owned()),
-            protocol: of_task.named(protocol),
+            protocol,
             encoder_hash: encoder.hash(),
             unranked,
             differences,
@@ -351,7 +358,8 @@ impl Comparison {
     /// A sentence that names the metrics of [`CLAIMS`] by which the second system is better or worse than the first,
     /// and those that show nothing; `None` if the encoder cannot rank systems or no such metric was measured.
     ///
-    /// A claim needs two metrics, because a system can improve any one at the cost of the others.
+    /// A claim needs two metrics, because a system can improve any one at the cost of the others. Two that contradict two
+    /// others support none.
     pub fn claim(&self) -> Option<String> {
         if self.unranked.is_some() {
             return None;
@@ -379,7 +387,9 @@ impl Comparison {
         if found.is_empty() {
             return None;
         }
-        if better.len().max(worse.len()) < 2 {
+        if better.len().min(worse.len()) > 1 {
+            found.push("the measures contradict each other, so nothing is claimed".to_owned());
+        } else if better.len().max(worse.len()) < 2 {
             found.push("no two agree, so nothing is claimed".to_owned());
         }
         let [a, b] = &self.systems;
@@ -547,6 +557,19 @@ mod tests {
             "ours against Identity: R@1 +24.00 [+24.00, +24.00] alone says that it is better; foot slide +0.000 \
              [+0.000, +0.000] shows nothing; no two agree, so nothing is claimed."
         );
+        let split = [
+            (&E2T_RECALL_1, [40.0, 64.0, 100.0]),
+            (&FOOT_SLIDE, [0.0, 0.1, 0.1]),
+            (&ERROR_INSIDE, [8.0, 10.0, 0.0]),
+            (&ERROR_OUTSIDE, [0.0, 1.0, 0.0]),
+        ];
+        assert_eq!(
+            claim(10, &split),
+            "ours against Identity: R@1 +24.00 [+24.00, +24.00] and foot slide -0.100 \
+             [-0.100, -0.100] agree that it is better; error inside the mask +2.00 [+2.00, +2.00] and \
+             error outside the mask +1.00 [+1.00, +1.00] agree that it is worse; the measures \
+             contradict each other, so nothing is claimed."
+        );
         // Nine targets are too few for an interval, and so for a claim.
         assert_eq!(
             claim(9, &ALL_FOUR[..1]),
@@ -556,6 +579,19 @@ mod tests {
         weak.unranked = Some("it guesses".to_owned());
         assert_eq!(weak.claim(), None);
         assert_eq!(compared(10, &[]).claim(), None);
+    }
+
+    #[test]
+    fn no_system_is_better_against_the_sign_of_the_difference() {
+        let better = |values: [f64; 2], interval: [f64; 2]| {
+            Difference::new(FID_NAME, &FID, Better::Lower, values, Some(interval)).better
+        };
+        assert_eq!(better([2.0, 1.0], [-1.5, -0.5]), Some("B"));
+        assert_eq!(better([2.0, 1.0], [0.5, 1.5]), None);
+        assert_eq!(better([1.0, 2.0], [-1.5, -0.5]), None);
+        // Resamples that are all too large keep their spread, and not their place.
+        assert_eq!(interval_about(-1.0, &[1.0, 3.0], 10), Some([-2.96, 0.96]));
+        assert_eq!(interval_about(-1.0, &[1.0, 3.0], 9), None);
     }
 
     #[test]

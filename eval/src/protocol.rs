@@ -25,6 +25,12 @@ pub(crate) const RESAMPLES: usize = 1000;
 /// Number of bootstrap resamples for the intervals of FID and Diversity, which are recomputed on each.
 pub(crate) const SET_RESAMPLES: usize = 100;
 
+/// Number of bootstrap resamples for the interval of a difference in FID; each decomposes up to three large matrices.
+pub(crate) const PAIR_RESAMPLES: usize = 200;
+
+/// Maximum number of repeats; the values of all are kept in memory.
+const MAX_REPEATS: usize = 10_000;
+
 /// Size of a retrieval gallery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -180,11 +186,11 @@ impl Default for Protocol {
 }
 
 impl Protocol {
-    /// Refuses settings with which nothing is measured.
+    /// Refuses settings with which nothing is measured, and more repeats than memory may hold.
     ///
     /// # Errors
-    /// There are no repeats, no Diversity pairs, a limit of no items, or galleries of fewer than two items; or the
-    /// height of the floor is not finite.
+    /// There are no repeats or more than 10,000, no Diversity pairs, a limit of no items, or galleries of fewer than two
+    /// items; or the height of the floor is not finite.
     pub fn check(&self) -> Result<(), Error> {
         let at_least = |field: &str, needed: usize, found: usize| match found < needed {
             true => Err(Error::Invalid(format!(
@@ -193,6 +199,12 @@ impl Protocol {
             false => Ok(()),
         };
         at_least("repeats", 1, self.repeats)?;
+        if self.repeats > MAX_REPEATS {
+            return Err(Error::Invalid(format!(
+                "protocol: repeats must be at most {MAX_REPEATS}, got {}",
+                self.repeats
+            )));
+        }
         at_least("diversity_pairs", 1, self.diversity_pairs)?;
         if let Some(limit) = self.limit {
             at_least("limit.items", 1, limit.items)?;
@@ -212,8 +224,22 @@ impl Protocol {
 
     /// The protocol in words, as applied to `num_items` items: a table then states the actual gallery sizes.
     pub fn name(&self, num_items: usize) -> String {
+        let pairs = format!(", {}{PAIRS}", self.diversity_pairs);
+        self.in_words(
+            num_items,
+            &pairs,
+            &format!("{SET_RESAMPLES} for FID and Diversity"),
+        )
+    }
+
+    /// The protocol of a comparison of two systems in words; Diversity is not compared.
+    pub(crate) fn name_of_comparison(&self, num_items: usize) -> String {
+        self.in_words(num_items, "", &format!("{PAIR_RESAMPLES} for FID"))
+    }
+
+    /// `pairs` names the pairs of Diversity, and `of_sets` the resamples of metrics of sets.
+    fn in_words(&self, num_items: usize, pairs: &str, of_sets: &str) -> String {
         let gallery = self.gallery_name(num_items);
-        let pairs = self.diversity_pairs;
         let fid = match self.fid_sample {
             FidSample::Halves => format!("FID between halves of {}", num_items / 2),
             FidSample::All => format!("FID on all {num_items}"),
@@ -241,14 +267,14 @@ impl Protocol {
                 format!(", a random {items} of the items (seed {})", seed.0)
             });
         let interval = match self.interval {
-            Spread::Targets => format!(
-                "95 % intervals from {RESAMPLES}{FROM_TARGETS} ({SET_RESAMPLES} for FID and Diversity)"
-            ),
+            Spread::Targets => {
+                format!("95 % intervals from {RESAMPLES}{FROM_TARGETS} ({of_sets})")
+            }
             Spread::Repeats => "95 % intervals over the repeats".to_owned(),
         };
         format!(
-            "{gallery}, {queries}, {pairs}{PAIRS}, {fid}, {floor}{length}{keypoints}{limit}, \
-             seed {}, {interval}",
+            "{gallery}, {queries}{pairs}, {fid}, {floor}{length}{keypoints}{limit}, seed {}, \
+             {interval}",
             self.seed.0
         )
     }
@@ -405,6 +431,11 @@ mod tests {
              diversity pairs, FID between halves of 506, floor at the lowest foot, seed 0, 95 % \
              intervals from 1000 draws of the targets (100 for FID and Diversity)"
         );
+        assert_eq!(
+            protocol.name_of_comparison(64),
+            "2 galleries of 32, real queries, FID between halves of 32, floor at the lowest foot, \
+             seed 0, 95 % intervals from 1000 draws of the targets (200 for FID)"
+        );
         let few = protocol.name(20);
         assert!(few.starts_with("one gallery of all 20 (fewer than 32)"));
         assert!(few.contains(", 300 diversity pairs"));
@@ -446,9 +477,18 @@ mod tests {
     fn protocols_that_measure_nothing_are_refused() {
         let default = Protocol::default();
         assert!(default.check().is_ok());
+        let most = Protocol {
+            repeats: MAX_REPEATS,
+            ..default
+        };
+        assert!(most.check().is_ok());
         for broken in [
             Protocol {
                 repeats: 0,
+                ..default
+            },
+            Protocol {
+                repeats: MAX_REPEATS + 1,
                 ..default
             },
             Protocol {

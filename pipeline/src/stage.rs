@@ -6,7 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
+use compose::{
+    COMPOSED, ItemConfig, ItemCount, Novelty, Shown, digest_of_ids, draw_items, library,
+};
 use datasets_spec::dataset::{Commit, Transaction, commit_table, refuse_others, table_facts};
 use datasets_spec::manifest::{REJECTED_MASKS_FACT, plan_hash};
 use datasets_spec::record::{
@@ -410,14 +412,29 @@ pub struct ItemsFolder {
     pub dataset: Dataset,
     /// Number of items drawn, if it is less than requested.
     pub fewer: Option<usize>,
+    /// How many items of each requested novelty were drawn; empty for items that were there.
+    pub of_novelty: BTreeMap<Novelty, usize>,
     /// Number of masks and pairs that are shorter than a window, and are no question; not known for items that were there.
     pub too_short: Option<usize>,
+}
+
+/// Whether the items of a folder have the digest that is expected of them. Of a part of those drawn it is not known.
+fn has_digest(items: &Dataset, config: &ItemConfig) -> Result<bool, Error> {
+    let Some(expected) = &config.digest else {
+        return Ok(true);
+    };
+    let mut ids: Vec<String> = Vec::new();
+    for (path, _) in items.files(ItemRow::TABLE, None) {
+        ids.extend(read_column::<ItemRow, String>(&path, "id")?);
+    }
+    let is_equal = *expected == digest_of_ids(ids.iter().map(String::as_str));
+    Ok(config.part.is_none() && is_equal)
 }
 
 /// Draws test questions from a split and commits them as a dataset of their own.
 ///
 /// # Errors
-/// The split cannot be composed, the folder holds edits, or it cannot be written.
+/// The split cannot be composed or gives no item, the folder holds edits, or it cannot be written.
 pub fn items(
     dataset: &Dataset,
     out: &Path,
@@ -441,14 +458,17 @@ pub fn items(
     refuse_others(out, &own, "items")?;
     if let Ok(held) = Dataset::open_unverified(out) {
         match held.manifest().plan(ItemRow::TABLE) == plan {
-            // Items are drawn again to compare their digest with the expected one.
-            true if config.digest.is_some() => {}
             true => {
-                return Ok(ItemsFolder {
-                    dataset: Dataset::open(out)?,
-                    fewer: None,
-                    too_short: None,
-                });
+                let dataset = Dataset::open(out)?;
+                // Others are drawn again, to say how they differ.
+                if has_digest(&dataset, config)? {
+                    return Ok(ItemsFolder {
+                        dataset,
+                        fewer: None,
+                        of_novelty: BTreeMap::new(),
+                        too_short: None,
+                    });
+                }
             }
             false => work::refuse_items(&held)?,
         }
@@ -483,5 +503,6 @@ pub fn items(
         dataset,
         fewer,
         too_short: Some(drawn.num_short),
+        of_novelty: drawn.of_novelty,
     })
 }

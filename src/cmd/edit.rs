@@ -14,7 +14,7 @@ use eval::names::GIVEN;
 use pipeline::open::stored_clip;
 use train::checkpoint::Slot;
 use train::history::{EditHistory, HistoryStep};
-use train::registry::{has_frozen_text, open_system};
+use train::registry::open_system;
 use train::sample::{EditTimes, FitMethod, TimedInstruction};
 use train::system::{
     EditConfig, EditSystem, Edited, Misfit, Remarks, SystemIdentity, SystemSource, edit_layers,
@@ -27,7 +27,7 @@ use work::commit_edits;
 use crate::device::{DeviceArgs, described, device};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::session::{surroundings, text_encoder, with_session};
+use crate::session::{refuse_unused_encoder, surroundings, text_encoder, with_session};
 use crate::stages::{self, note_remarks, per_window};
 use crate::{local, report};
 
@@ -150,13 +150,7 @@ pub(crate) fn system_name(text: &str) -> Result<String, String> {
 
 impl Args {
     fn source(&self) -> anyhow::Result<SystemSource> {
-        // A plan has one text encoder for all its systems, so only one that is given to this run must be used.
-        if self.text_encoder.is_some() && !has_frozen_text(&self.run)? {
-            bail!(
-                "the run {} makes no use of --text-encoder; edit without it",
-                self.run.display()
-            );
-        }
+        refuse_unused_encoder(&self.run, self.text_encoder.as_deref())?;
         Ok(SystemSource {
             run: self.run.clone(),
             slot: self.checkpoint,

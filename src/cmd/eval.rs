@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::ValueEnum as _;
-use datasets_spec::{Seed, Split};
+use datasets_spec::{Seed, Skeleton, Split};
 use eval::answers::{Answered, Scores};
 use eval::compare::{Comparison, compare};
 use eval::format::{self, ABSENT};
@@ -290,6 +290,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let Some(table) = args.table.scored() else {
         return timed(args, global);
     };
+    let format = args.measure.format(global);
+    let is_data = matches!(format, FormatArg::Json | FormatArg::Csv);
+    if args.published && is_data {
+        bail!("scores as JSON or CSV make no use of --published; print them without");
+    }
     let protocol = Protocol {
         interval: args.interval,
         ..args.measure.protocol(Some(table), global)
@@ -302,9 +307,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let answered = answers(args, runs.encoder)?;
     let scores = stages::scores(&answered, &runs, &protocol, global)?;
     if let Some(out) = &args.out {
-        scores.commit(out, &answered.skeleton, &global.holder())?;
+        commit(&scores, out, &answered.skeleton, global)?;
     }
-    let format = args.measure.format(global);
     let text = if format == FormatArg::Json {
         format::json::render(&scores.rows, &scores.judges)?
     } else {
@@ -325,13 +329,28 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
     };
     report::text(&text);
-    if matches!(format, FormatArg::Json | FormatArg::Csv) {
+    if is_data {
         for shortage in shortages(&scores.rows) {
             report::note(&shortage);
         }
     }
     let weak_judge = args.measure.weak_judge;
     Ok(weak_judge.exit(scores.unranked(), Exit::Done))
+}
+
+/// Commits scores, and says which ones they replace.
+fn commit(scores: &Scores, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
+    let before = Scores::held_in(out)?;
+    let dataset = scores.commit(out, skeleton, &global.holder())?;
+    let now = dataset.manifest().version;
+    if let Some((systems, version)) = before.filter(|(_, version)| *version < now) {
+        report::note(&format!(
+            "{} held scores of {}; version {version} of it keeps them",
+            out.display(),
+            Vec::from_iter(systems).join(", ")
+        ));
+    }
+    Ok(())
 }
 
 fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {

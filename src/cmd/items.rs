@@ -23,8 +23,8 @@ use crate::test_set::{self, BUILTIN_1, TestSet};
 /// They are drawn once, with their own seed and composer settings. `stance edit RUN --items ITEMS` answers them, and
 /// `stance eval` scores the answers. An item's id is a hash of its content.
 ///
-/// `set.json` beside the items says how they were drawn, and holds no motion. Who has the same dataset draws the same items from
-/// it: `stance items DATASET --set set.json`.
+/// `set.json` beside the items records how they were drawn, without motions. Anyone with the same dataset draws the same
+/// items with `stance items DATASET --set set.json`.
 ///
 /// `stance items export` writes drawn items for systems outside this program.
 #[derive(clap::Args, Debug)]

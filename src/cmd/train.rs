@@ -7,7 +7,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser};
 use eval::draw::plot::{Curve, Plot, Scale, plot};
 use serde_json::{Map, Value};
 use train::checkpoint::Start;
-use train::config::{Preset, RunLength, TrainConfig};
+use train::config::{Preset, RunLength, TrainConfig, overlay};
 use train::features::FeatureRecipe;
 use train::kind::{Input, ModelKind, TrainRequest};
 use train::registry::{self, MODELS};
@@ -141,7 +141,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         own.insert("features".to_owned(), serde_json::to_value(features)?);
     }
-    let preset = args.preset;
+    let (preset, own) = (args.preset, Value::Object(own));
+    if args.text_encoder.is_some() {
+        refuse_learned_words(kind, preset, &own)?;
+    }
     let length = match (args.steps, args.epochs) {
         (Some(steps), _) => Some(RunLength::of_steps(steps)),
         (None, Some(epochs)) => Some(RunLength {
@@ -159,7 +162,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             init: args.init.as_deref(),
         },
         preset,
-        own: &Value::Object(own),
+        own: &own,
         compose: &args.compose.over(&TrainConfig::compose_preset(preset))?,
         windows: args.windows.as_deref(),
         text_encoder: &text_encoder(args.text_encoder.as_deref()),
@@ -203,6 +206,22 @@ fn refuse_unused(args: &Args, kind: &ModelKind) -> anyhow::Result<()> {
                 kind.name
             );
         }
+    }
+    Ok(())
+}
+
+/// Refuses a text encoder for settings that train one with the model, and would ignore it.
+fn refuse_learned_words(kind: &ModelKind, preset: Preset, own: &Value) -> anyhow::Result<()> {
+    // Training reports settings that do not fit.
+    let settings = overlay(&(kind.preset)(preset), own).unwrap_or_default();
+    if settings
+        .pointer("/text/encoder")
+        .is_some_and(|encoder| encoder == "learned")
+    {
+        bail!(
+            "text.encoder is learned, which makes no use of --text-encoder; set it to clip, bert or \
+             table in --config, or train without"
+        );
     }
     Ok(())
 }

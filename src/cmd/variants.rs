@@ -19,7 +19,7 @@ use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::session::{surroundings, text_encoder, with_session};
+use crate::session::{refuse_unused_encoder, surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
 ///
@@ -99,6 +99,7 @@ impl Args {
                 "variants of a generator are planned: --generator RUN --instructions FILE|captions"
             );
         };
+        refuse_unused_encoder(generator, self.text_encoder.as_deref())?;
         Ok(plan_variants(
             [&self.dataset, generator, &self.out].map(PathBuf::as_path),
             &read_instructions(instructions, self.chosen.text())?,
@@ -119,6 +120,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let asked = read_instructions(instructions, args.chosen.text())?;
             let (config, seed) = (args.config(), global.seed());
             let folders = [&args.dataset, generator, &args.out].map(PathBuf::as_path);
+            refuse_unused_encoder(generator, args.text_encoder.as_deref())?;
             let encoder = text_encoder(args.text_encoder.as_deref());
             with_session(&global.bars(), |session| {
                 make_variants(folders, &asked, &config, &encoder, seed, &holder, session)

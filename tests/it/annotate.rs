@@ -464,6 +464,64 @@ fn labels_that_a_project_only_imported_stay_as_the_dataset_has_them() {
     }
 }
 
+#[test]
+fn a_label_of_another_project_stays_when_it_is_reopened_here_or_comes_with_a_release() {
+    let (dir, dataset) = dataset(12);
+    let [first, second, release] =
+        ["first.sqlite", "second.sqlite", "release"].map(|name| dir.path(name));
+    let run = |store: &Path, words: &[&str]| -> Value {
+        typed_with("annotate {} --store {} --json", &[&dataset, &store], words).done()
+    };
+    let of_people = || {
+        let rows = rows_of::<MaskRow>(&dataset).into_iter();
+        Vec::from_iter(rows.filter(|row| row.text_origin == "human"))
+    };
+    let stores = [&first, &second].map(|file| opened(file));
+    run(&first, &["import"]);
+    accept(&stores[0], people(&stores[0]), masks("testing"));
+    run(&first, &["export"]);
+    let stated = of_people();
+    assert_eq!(stated.len(), 2, "{stated:?}");
+    run(
+        &first,
+        &["export", "--format", "stance", "--to", arg(&release)],
+    );
+
+    // Without the table, a release names no authors, and takes nothing from the labels of the dataset.
+    std::fs::remove_file(release.join("annotations.parquet")).expect("removed");
+    run(&second, &["import"]);
+    let taken = run(&second, &["import", arg(&release)]);
+    assert_eq!(taken["counts"]["filled_tasks"], 0, "{taken}");
+    assert_eq!(
+        run(&second, &["export"])["counts"]["labels_left_as_they_are"],
+        1
+    );
+    assert_eq!(of_people(), stated);
+
+    // The second project writes a label of its own, and then reopens that of the first.
+    let is_accepted = |id: &i64| {
+        let task = stores[1].task_record(*id);
+        task.is_ok_and(|task| task.state == TaskState::Accepted)
+    };
+    let label = (1..400).find(is_accepted).expect("a label");
+    let (ann, eve) = people(&stores[1]);
+    accept(&stores[1], (ann, eve), masks("waving"));
+    run(&second, &["export"]);
+    let reopen = json!({ "idem_key": "reopen-label", "task": label, "lease_epoch": 0,
+        "decision": "reopen", "comment": "look again" });
+    stores[1]
+        .review(eve, from_json(reopen), 0)
+        .expect("reopens");
+    let done = run(&second, &["export"]);
+    assert_eq!(
+        done["counts"]["taken_back_but_kept"],
+        stated.len(),
+        "{done}"
+    );
+    let now = of_people();
+    assert!(stated.iter().all(|row| now.contains(row)), "{now:?}");
+}
+
 /// Answers some tasks of a store and accepts the answers. The reviewer accepts an answer of her own of each kind.
 fn answer_and_accept(file: &Path) {
     let store = open_sqlite(file).expect("a store");

@@ -128,6 +128,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
 
     let scores = bench.scores("@first", "");
     let names = ["Real Data", "Identity", UNPOSED];
+    for format in ["--format csv", "--format json", "--json"] {
+        let ran = bench.eval("@first", &format!("--published {format}"));
+        ran.expect_refused("no use of --published");
+    }
     let ran = bench.eval("@first", "--published --format markdown");
     let ran = ran.expect_code(0);
     // The first table is that of the only task; tables of novelties follow.
@@ -456,10 +460,12 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     );
     // A table of an earlier run.
     bench.put("made/tables/table-2.txt", "older\n");
+    bench.put("made/figures/older.svg", "");
     let before = bench.root_hash();
     let ran = bench.typed("--json reproduce --weak-judge @plan.toml");
     let ran = ran.expect_code(1);
     ran.expect_said("train.window = 400");
+    ran.expect_said("this one did not write: figures/older.svg, tables/table-2.txt");
     let made: Value = ran.json();
     let failed = made["failed"].to_string();
     assert_eq!(len_of(&made["failed"]), 5, "{made}");

@@ -132,6 +132,15 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused_and_one_without_training_
         "items @dataset --set builtin-1 --seed 3 --out @items",
         "leave --seed out",
     );
+    // Training has shown all actions that style is transferred to.
+    let style = "items @dataset --count 6 --task style --novelty";
+    folder.refused(
+        &format!("{style} unshown --out @items"),
+        "split test gives no item of task style and of novelty unshown",
+    );
+    assert!(!folder.path("items").exists());
+    let ran = folder.run(&format!("{style} action,unshown --out @fewer"));
+    ran.expect_said("gives 3 different items, 6 were asked for: 3 action, 0 unshown");
 
     // The training split is removed, so the novelty is unknown.
     folder.run("dataset select @dataset --where \"split != 'train'\" --out @alone");

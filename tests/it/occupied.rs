@@ -91,6 +91,38 @@ fn items_and_edits_take_the_place_of_none_but_their_own() {
 }
 
 #[test]
+fn scores_go_with_their_edits_and_replaced_ones_are_named() {
+    let bench = Bench::open();
+    bench.edits("first", "--name A");
+    bench.edits("second", "--name B --guidance 2");
+    let score = |edits: &str, out: &str| {
+        let ran = bench.eval(&format!("@{edits}"), &format!("--out @{out}"));
+        ran.expect_code(0)
+    };
+    // The scores of one system are replaced by those of another.
+    let said = "held scores of ";
+    for (edits, replaced) in [("first", None), ("first", None), ("second", Some("A"))] {
+        let ran = score(edits, "scores");
+        assert_eq!(ran.stderr.contains(said), replaced.is_some(), "{ran}");
+        if let Some(system) = replaced {
+            ran.expect_said(&format!("{said}{system}; version 1 of it keeps them"));
+        }
+    }
+    // Scores beside edits do not stay beside other edits.
+    score("first", "first");
+    let has_scores = || {
+        let dataset = bench.dataset_at("first");
+        dataset.manifest().tables.contains_key("scores")
+    };
+    assert!(has_scores());
+    bench.edits("first", "--name A");
+    assert!(has_scores());
+    bench.edits("first", "--name A --seed 3");
+    assert!(!has_scores());
+    bench.run("verify @first");
+}
+
+#[test]
 fn items_recordings_and_scores_keep_out_of_datasets() {
     let bench = Bench::open();
     bench.edits("edits", "");

@@ -141,7 +141,11 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     assert!(names.contains(&"FID of whole sets") && !names.contains(&"FID"));
     assert_eq!(task["notes"], json!([]));
     let protocol = word_of(&task["protocol"]);
-    assert_has(protocol, &["FID on all 80", "draws of the targets"]);
+    assert_has(
+        protocol,
+        &["FID on all 80", "draws of the targets (200 for FID)"],
+    );
+    assert!(!protocol.contains("diversity"), "{protocol}");
     let targets = task["targets"].as_u64();
     assert!(targets.is_some_and(|count| (10..=80).contains(&count)));
     assert_eq!(word_of(&task["items_digest"]).len(), 12);

@@ -646,4 +646,9 @@ fn no_run_commits_one_id_twice() {
     assert_eq!(said["code"], "E-COMMON-ID", "{said}");
     assert_tells(&said["reason"], &id);
     assert_eq!(root_hash_of(&dataset), before);
+    // Nor is it read twice into another dataset.
+    let fresh = dir.path("fresh");
+    let said = grow(&[&dataset], &fresh, &[], 1);
+    assert_eq!(said["code"], "E-COMMON-ID", "{said}");
+    datasets_spec::Dataset::open(&fresh).expect_err("no dataset");
 }

@@ -86,6 +86,11 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     };
     train("").expect_refused("--text-encoder");
     train(table).expect_code(0);
+    // Settings and runs that learn their words would ignore the table.
+    let learned = format!("train motionrefit @dataset --out @learned {table}");
+    let why = "text.encoder is learned, which makes no use of --text-encoder";
+    workshop.refused(&learned, why);
+    assert!(!workshop.path("learned").exists());
     workshop.put("tmed.toml", "text.encoder = \"table\"\n");
     let tokens = format!("train tmed @dataset --out @tmed --config @tmed.toml {table}");
     workshop.refused(&tokens, "TMED reads tokens");

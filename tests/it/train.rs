@@ -346,6 +346,17 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
         workshop.refused(&line, "keeps the vocabulary of the weights");
         assert!(!workshop.path("fewer").exists());
     }
+    // Weights that do not fit leave no run that the corrected command would have to match.
+    let settings = workshop
+        .text("small.toml")
+        .replace("width = 32", "width = 64");
+    workshop.put("wider.toml", settings);
+    let begin = "train motionrefit @dataset --out @wider --init @motionrefit --steps 6 --config";
+    workshop
+        .typed(&format!("{begin} @wider.toml"))
+        .expect_code(1);
+    assert!(!workshop.path("wider/config.json").exists());
+    workshop.run(&format!("{begin} @small.toml"));
     let poses = "train j2s @dataset --out @poses --preset official --steps";
     workshop.run(&format!("{poses} 4"));
     // An extended run records the intervals that it uses, also if it recorded those of the preset before.

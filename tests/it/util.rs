@@ -313,7 +313,7 @@ pub(crate) fn copy_all(from: &Path, to: &Path) {
     }
 }
 
-/// Unpacks a tar archive into a folder, by a program that is not ours.
+/// Unpacks a tar archive into a folder with the `tar` of the system.
 pub(crate) fn unpack(archive: &Path, into: &Path) {
     std::fs::create_dir_all(into).expect("a folder");
     let mut tar = Command::new("tar");

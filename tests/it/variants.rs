@@ -47,6 +47,10 @@ fn refuse_what_makes_none(workshop: &Workshop) {
             "setting relative_noise is not usable",
         ),
         (
+            "captions --text-encoder none",
+            "makes no use of --text-encoder",
+        ),
+        (
             "@texts.txt --where 'fps > 0'",
             "--where chooses clips of the dataset",
         ),

@@ -199,8 +199,9 @@ pub struct Run {
     dir: PathBuf,
     /// Folder and files of the weights to start from.
     init: Option<(PathBuf, Files)>,
-    /// New record and lineage of an extended run. [`Run::settle`] writes them once the extension is certain to succeed.
-    extended: Option<(Value, Vec<Ancestor>)>,
+    /// Record and lineage of a run that is extended or starts from other weights. [`Run::settle`] writes them once the
+    /// settings and the weights are known to fit.
+    unsettled: Option<(Value, Vec<Ancestor>)>,
     /// `None` if the file system has no locks.
     _lock: Option<Box<dyn Lock>>,
 }
@@ -260,21 +261,24 @@ impl Run {
         let past = start.init.map(|from| begin_with(from, record, &asked));
         let (past, init) = past.transpose()?.unzip();
         let lock = lock(dir)?;
-        let mut extended = None;
-        match text_of(&path)? {
-            Some(recorded) => extended = changes(start, record, asked, &recorded, past)?,
-            None => write_record(&path, &asked, &past.unwrap_or_default())?,
+        let mut unsettled = None;
+        match (text_of(&path)?, past) {
+            (Some(recorded), past) => {
+                unsettled = changes(start, record, asked, &recorded, past)?;
+            }
+            (None, Some(past)) => unsettled = Some((asked, past)),
+            (None, None) => write_record(&path, &asked, &[])?,
         }
         Ok(Self {
             dir: dir.to_owned(),
             init: start.init.map(Path::to_owned).zip(init),
-            extended,
+            unsettled,
             _lock: lock,
         })
     }
 
     pub(crate) fn settle(&self) -> Result<(), Error> {
-        match &self.extended {
+        match &self.unsettled {
             Some((record, lineage)) => write_record(&self.dir.join(CONFIG), record, lineage),
             None => Ok(()),
         }

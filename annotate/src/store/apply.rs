@@ -338,7 +338,7 @@ impl Change<'_> {
                     self.set(tx, "extra", json(extra)?)?;
                 }
                 let acceptance = Acceptance::imported(answer, credit.as_ref(), self.entry);
-                // A label of the dataset gives way to an answer with its author.
+                // It may replace a label of the dataset.
                 tx.run("DELETE FROM accepted WHERE task = ?1", params![self.task])?;
                 self.accept(tx, &acceptance)
             }

@@ -50,7 +50,8 @@ impl Store {
     }
 
     /// Imports tasks. Tasks whose key exists stay unchanged, except that an accepted answer fills one that nobody has
-    /// worked on. An import about other motions than the known task of its key is left out.
+    /// worked on, and may replace a label of the dataset. An import about other motions than the known task of its key is
+    /// left out.
     pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
         let mut done = Imported::default();
         for group in tasks.chunks(project::AT_ONCE) {
@@ -120,8 +121,8 @@ fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
 }
 
 /// Accepts an imported answer to a known task about the same motions, unless the task has another answer, or somebody
-/// is working on it or has decided about it. A label of the dataset gives way to a newer one, and to an answer that the
-/// dataset would hold alike, which names its author.
+/// is working on it or has decided about it. A label of the dataset is replaced by the label that the dataset has now, and
+/// by an answer that names its author and becomes equal rows in the dataset.
 fn fill(
     tx: &mut dyn Tx,
     actor: Option<i64>,
@@ -131,7 +132,13 @@ fn fill(
     done: &mut Imported,
     now: Millis,
 ) -> Result<()> {
-    let of_dataset = new.credit.as_ref().is_some_and(|credit| credit.of_dataset);
+    let credit = new.credit.as_ref();
+    let of_dataset = credit.is_some_and(|credit| credit.of_dataset);
+    let names_author = credit.is_some_and(|credit| credit.author.is_some());
+    let agrees = |ours: &Answer| match of_dataset {
+        true => answer::are_stored_alike(ours, answer),
+        false => answer::says(ours, answer),
+    };
     let mut gives_way = false;
     if let Some(accepted) = read::accepted_answer(tx, id)? {
         let is_label = tx.number(
@@ -139,11 +146,15 @@ fn fill(
             params![id],
         )? > 0;
         let is_alike = answer::are_stored_alike(&accepted, answer);
-        if (of_dataset && is_alike) || (!is_label && answer::says(&accepted, answer)) {
+        gives_way = is_label
+            && match of_dataset {
+                true => !is_alike,
+                false => is_alike && names_author,
+            };
+        if !gives_way && agrees(&accepted) {
             done.known += 1;
             return Ok(());
         }
-        gives_way = is_label && (of_dataset || is_alike);
     }
     let touched = tx.number(
         "SELECT (SELECT COUNT(*) FROM revision WHERE task = ?1) + (SELECT COUNT(*) FROM lease WHERE task = ?1)
@@ -154,10 +165,7 @@ fn fill(
     let is_open = task.state == TaskState::Open || gives_way;
     if touched > 0 || !is_open || task.gold.is_some() {
         let ever = read::answers_ever(tx, id)?;
-        let had_it = ever.iter().any(|ours| match of_dataset {
-            true => answer::are_stored_alike(ours, answer),
-            false => answer::says(ours, answer),
-        });
+        let had_it = ever.iter().any(agrees);
         let keys = if had_it {
             &mut done.earlier
         } else {

@@ -76,6 +76,8 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
     "",
     // 9: whose answers a decision concerned; answers that were taken back do not count as work.
     "",
+    // 10: labels of the dataset are marked, and give way to other answers.
+    "",
 ];
 
 /// Version of the tables of this program.

@@ -125,15 +125,17 @@ impl Store {
         self.read(|tx| accepted(tx, from, params![keys.after, keys.up_to]))
     }
 
-    /// Keys of the tasks that were reopened and are not accepted now, each with whether it was accepted when entry `seq`
-    /// was the last of the log.
+    /// Keys of the tasks that were reopened and are not accepted now, each with whether exports wrote its accepted answer
+    /// when entry `seq` was the last of the log.
     pub fn reopened(&self, seq: i64) -> Result<BTreeMap<String, bool>> {
         // Only accepted and dropped tasks can be reopened.
-        let decision = "SELECT e.kind FROM event e WHERE e.task = t.id
+        let decisions = "FROM event e WHERE e.task = t.id
            AND e.kind IN ('imported', 'filled', 'accepted', 'merged', 'dropped', 'reopened')";
+        // Exports to a dataset do not write its own labels. In a text of an entry, quotes are escaped.
+        let is_written = r#"CASE WHEN e.kind = 'dropped' OR e.body LIKE '%"of_dataset":true%' THEN 0 ELSE 1 END"#;
         let sql = format!(
-            "SELECT t.key, CASE WHEN ({decision} AND e.seq > ?1 ORDER BY e.seq LIMIT 1) = 'reopened'
-               AND ({decision} AND e.seq <= ?1 ORDER BY e.seq DESC LIMIT 1) <> 'dropped' THEN 1 ELSE 0 END
+            "SELECT t.key, CASE WHEN (SELECT e.kind {decisions} AND e.seq > ?1 ORDER BY e.seq LIMIT 1) = 'reopened'
+               AND (SELECT {is_written} {decisions} AND e.seq <= ?1 ORDER BY e.seq DESC LIMIT 1) = 1 THEN 1 ELSE 0 END
              FROM task t WHERE t.gold IS NULL AND t.state <> 'accepted'
                AND EXISTS (SELECT 1 FROM review v WHERE v.task = t.id AND v.decision = 'reopened')"
         );
@@ -469,13 +471,7 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
 
 /// Accepted answers `a` to tasks `t`, selected by an SQL `FROM` clause.
 fn accepted(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<AcceptedAnswer>> {
-    let basis = "CASE WHEN a.basis LIKE 'import:%' THEN substr(a.basis, 8)
-                      WHEN a.basis LIKE 'import.dataset:%' THEN substr(a.basis, 16)
-                      WHEN a.basis = 'import.dataset' THEN 'import' ELSE a.basis END";
-    let columns = format!(
-        "a.author, a.merged, a.credit, {basis}, a.answer, a.at, a.seq,
-         CASE WHEN a.basis LIKE 'import.dataset%' THEN 1 ELSE 0 END, a.basis"
-    );
+    let columns = "a.author, a.merged, a.credit, a.basis, a.answer, a.at, a.seq";
     tx.list(&format!("SELECT {TASK}, {columns} FROM {from}"), params)
 }
 

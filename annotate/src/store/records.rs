@@ -109,7 +109,7 @@ pub struct Credit {
     /// How the answer was accepted: `review`, `own` or `rule:NAME`.
     #[serde(default)]
     pub accepted_by: Option<String>,
-    /// Whether it is a label of the dataset, whose exports leave it as the dataset has it then.
+    /// Whether it was imported from the dataset. Exports to a dataset leave such labels as they are.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub of_dataset: bool,
 }
@@ -257,18 +257,32 @@ pub struct AcceptedAnswer {
     pub merged: bool,
     /// Pseudonym of the author of an imported answer.
     pub credit: Option<String>,
-    /// How the answer was accepted: `review`, `own`, `rule:NAME`; or `import`, if the imported file does not say.
-    pub accepted_by: String,
+    /// How the answer was accepted: `review`, `own` or `rule:NAME`; `import` or `import.dataset` if it was imported, with a
+    /// colon and how it was accepted before, if that is known.
+    pub basis: String,
     /// The answer.
     pub answer: Answer,
     /// Time of acceptance.
     pub at: Millis,
     /// Sequence number in the log.
     pub seq: i64,
-    /// Whether it is a label of the dataset that nobody has judged here.
-    pub of_dataset: bool,
-    /// As `accepted_by`, with `import:` or `import.dataset:` before what the imported file says.
-    pub basis: String,
+}
+
+impl AcceptedAnswer {
+    /// Whether it was imported from the dataset, and nobody has judged it here.
+    pub fn is_of_dataset(&self) -> bool {
+        self.basis.starts_with("import.dataset")
+    }
+
+    /// How the answer was accepted, here or before its import: `review`, `own` or `rule:NAME`; or `import`, if the imported
+    /// file does not say.
+    pub fn accepted_by(&self) -> &str {
+        let rest = self.basis.strip_prefix("import");
+        let rest = rest.map(|rest| rest.strip_prefix(".dataset").unwrap_or(rest));
+        rest.map_or(&self.basis, |rest| {
+            rest.strip_prefix(':').unwrap_or("import")
+        })
+    }
 }
 
 /// A dropped or skipped task.

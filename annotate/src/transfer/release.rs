@@ -36,7 +36,7 @@ pub fn from_release(
     let parsed = parse(document).map_err(|problem| Error::import(RELEASE, problem))?;
     let motions = known_motions(store)?;
     let mut taken = parsed.taken;
-    let mut tasks = Vec::new();
+    let (mut tasks, mut not_understood) = (Vec::new(), Vec::new());
     for (id, said) in parsed.motions {
         let Some(motion) = motions.get(&id) else {
             taken.count("unknown_ids", 1);
@@ -47,21 +47,28 @@ pub fn from_release(
             }
             continue;
         };
+        // What is not understood is no judgement that the clip has no masks.
+        if !said.is_judgement {
+            not_understood.push(id);
+            continue;
+        }
         let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
         new.extra = said.extra;
         new.credit = credit("", false, said.accepted_by.as_deref());
-        // What is not understood is no judgement that the clip has no masks.
-        if said.is_judgement {
-            new.accepted = Some(Answer::MaskText {
-                masks: said.masks,
-                count_reason: None,
-                note: String::new(),
-            });
-        } else {
-            taken.count("entries_not_understood", 1);
-        }
+        new.accepted = Some(Answer::MaskText {
+            masks: said.masks,
+            count_reason: None,
+            note: String::new(),
+        });
         tasks.push(new);
     }
+    taken.report("entries_not_understood", not_understood.len(), || {
+        format!(
+            "{} motions have no mask that is understood, for example {:?}; their annotations are left out",
+            not_understood.len(),
+            not_understood[0]
+        )
+    });
     for pair in parsed.pairs {
         let Some((source, target)) = motions.get(&pair.src).zip(motions.get(&pair.tgt)) else {
             taken.count("unknown_ids", 1);
@@ -287,7 +294,8 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
         _ => {
             unknown.insert("part_annotations".to_owned(), said.clone());
             problems.push(
-                "its texts do not match its masks and are kept as an unknown field".to_owned(),
+                "its texts do not match its masks; they are kept as an unknown field if a mask is understood"
+                    .to_owned(),
             );
             Vec::new()
         }
@@ -323,7 +331,8 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
         read.masks.extend(masks);
     }
     read.extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
-    let has_none = matches!(masks, Value::Array(names) if names.is_empty());
+    let has_none = matches!(masks, Value::Array(names) if names.is_empty())
+        && texts(said).iter().all(String::is_empty);
     read.is_judgement = !read.masks.is_empty() || (has_none && problems.is_empty());
     (read, problems)
 }
@@ -364,16 +373,16 @@ mod tests {
     fn what_is_not_understood_is_reported_and_kept() {
         let document = json!({
             "mask_all": {
-                "a": ["LEFT_ARM", "TAIL"], "b": ["HEAD"], "c": ["HEAD", "TORSO"], "e": ["left hand"], "f": null,
+                "a": ["LEFT_ARM", "TAIL"], "b": ["HEAD"], "c": ["HEAD", "TORSO"], "e": ["left hand"], "f": null, "g": [],
             },
             "part_annotations": {
-                "a": ["waving", "wagging"], "d": {"HEAD": "nodding"}, "c": [1, 2, 3], "e": ["waving"], "f": "waving",
+                "a": ["waving", "wagging"], "d": {"HEAD": "nodding"}, "c": [1, 2, 3], "e": ["waving"], "f": "waving", "g": "waving",
             },
         });
         let release = parse(&document).expect("an object");
         assert_eq!(release.motions["a"].masks.len(), 1);
         assert!(release.motions["a"].is_judgement && !release.motions["e"].is_judgement);
-        assert!(!release.motions["f"].is_judgement);
+        assert!(!release.motions["f"].is_judgement && !release.motions["g"].is_judgement);
         let kept = &release.motions["c"];
         assert_eq!(kept.masks.len(), 2);
         for problem in ["TAIL", "1 ids have masks but no texts"] {

@@ -263,6 +263,9 @@ impl TripletRow {
 }
 
 impl EditRow {
+    /// Minimum number of frames of an edit: metrics need a frame with a neighbour on either side.
+    pub const MIN_FRAMES: usize = 3;
+
     /// An answer to an item. The caller fills in the system, its checkpoint, settings and seed, and the two errors.
     pub fn answering(item: &ItemRow, motion: &Motion) -> Self {
         Self {

@@ -1,5 +1,6 @@
 //! The foot score: whether feet stand still on the ground when they touch it.
 
+use datasets_spec::record::EditRow;
 use datasets_spec::{Fps, Joint};
 use glam::DVec3;
 
@@ -32,7 +33,7 @@ pub const FOOT_JOINTS: [Joint; 4] = [
 pub type Feet = [DVec3; FOOT_JOINTS.len()];
 
 /// Minimum number of frames for one central difference.
-pub const MIN_FRAMES: usize = 3;
+pub const MIN_FRAMES: usize = EditRow::MIN_FRAMES;
 
 /// Speed in m/s below which a foot counts as still (DIMOS).
 const STILL_SPEED: f64 = 0.075;

@@ -142,11 +142,10 @@ impl<'a> OfTask<'a> {
     }
 
     /// A protocol in words, with the coordinator that classified the motions, if one did.
-    pub(crate) fn named(&self, protocol: &Protocol) -> String {
-        let name = protocol.name(self.counts.count as usize);
+    pub(crate) fn named(&self, protocol: String) -> String {
         match &self.classifier {
-            Some(hash) => format!("{name}; coordinator {hash:.12}"),
-            None => name,
+            Some(hash) => format!("{protocol}; coordinator {hash:.12}"),
+            None => protocol,
         }
     }
 
@@ -255,7 +254,7 @@ impl<'a> OfTask<'a> {
             system: system.name.to_owned(),
             task: self.task.to_owned(),
             metric: metric.to_owned(),
-            protocol: self.named(protocol),
+            protocol: self.named(protocol.name(num_items)),
             encoder_hash: encoder_hash.to_owned(),
             n: counts.count,
             repeats: protocol.repeats as u32,
@@ -304,9 +303,12 @@ impl<'a> OfTask<'a> {
         let against_identity = ranked.iter().map(|&place| [1, place]);
         let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
         let unranked = self.unranked(encoder);
+        // The protocol of the scores, whose table the claims follow.
+        let protocol = self.named(self.protocol.name(self.counts.count as usize));
         let of_pair = |pair: [usize; 2]| {
             let claims = self.pairing(pair).differences(&CLAIMS);
-            Comparison::new(self, pair, self.protocol, encoder, unranked.clone(), claims)
+            let (protocol, unranked) = (protocol.clone(), unranked.clone());
+            Comparison::new(self, pair, protocol, encoder, unranked, claims)
         };
         against_identity.chain(neighbours).map(of_pair).collect()
     }

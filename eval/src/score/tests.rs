@@ -617,11 +617,17 @@ fn a_comparison_takes_the_mean_over_takes_and_ranks_nothing_that_the_encoder_can
         rows.find(|row| row.metric.starts_with("FID"))
             .expect("measured")
     };
-    let [b, both, c] = ["B", "B and C", "C"].map(|other| of_fid(other).b);
+    let rows = ["B", "B and C", "C"].map(of_fid);
+    let [b, both, c] = rows.each_ref().map(|row| row.b);
     assert!(
         (both - (b + c) / 2.0).abs() < 1e-9 && c > b,
         "{b} {both} {c}"
     );
+    // Resamples inflate the FID of C alone.
+    for row in rows {
+        let [low, high] = row.interval.expect("40 targets");
+        assert!(low <= row.difference && row.difference <= high, "{row:?}");
+    }
 
     let is_better = |found: &Comparison| found.differences.iter().any(|row| row.better.is_some());
     let told = compared(&items, &edits, ["A", "C"]);

@@ -105,17 +105,8 @@ impl SourceClip {
 
     /// Source frames per frame of the motion.
     fn stride(&self) -> f64 {
-        const TOLERANCE: f64 = 1e-3;
         let by_rate = self.source_fps.get() / self.motion.fps().get();
-        let (covered, frames) = (self.source_frames.len(), self.motion.len());
-        let steps = frames.saturating_sub(1).max(1);
-        let taken = covered.saturating_sub(1) as f64 / steps as f64;
-        // Interpolated frames cover at least what the rates say. HumanML3D's rule skips a whole number of frames and may
-        // cover less; a clip cut by it may also state the resulting rate as that of its file.
-        match by_rate == 1.0 || taken < by_rate - TOLERANCE {
-            true => taken.round().max(1.0),
-            false => by_rate,
-        }
+        stride(by_rate, self.source_frames.len(), self.motion.len())
     }
 
     /// The frame of the file that a frame of the motion shows; a fraction lies between two frames.
@@ -205,13 +196,28 @@ impl SourceClip {
     }
 }
 
+/// Frames of the file per frame of a motion of `frames` frames that covers `covered` frames of its file. `by_rate` is the
+/// quotient of their rates.
+pub fn stride(by_rate: f64, covered: usize, frames: usize) -> f64 {
+    const TOLERANCE: f64 = 1e-3;
+    let steps = frames.saturating_sub(1).max(1);
+    let taken = covered.saturating_sub(1) as f64 / steps as f64;
+    // Interpolated frames cover at least what the rates say. HumanML3D's rule skips a whole number of frames and may
+    // cover less; clips cut by it stated the resulting rate as that of their file in earlier versions.
+    match by_rate == 1.0 || taken < by_rate - TOLERANCE {
+        true => taken.round().max(1.0),
+        false => by_rate,
+    }
+}
+
 /// The note on a motion whose rate is not the stored one; `None` if they differ by no more than rounding.
 pub fn true_rate_note(true_fps: f64, stored: Fps) -> Option<String> {
     const TOLERANCE: f64 = 1e-3;
     let differs = (true_fps / stored.get() - 1.0).abs() > TOLERANCE;
     let stored = stored.get();
     differs.then(|| {
-        format!("its true rate is {true_fps} fps, stored as {stored} by the rule of HumanML3D")
+        let rounded = (true_fps * 1e3).round() / 1e3;
+        format!("its true rate is {rounded} fps, stored as {stored} by the rule of HumanML3D")
     })
 }
 

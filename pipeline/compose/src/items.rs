@@ -7,7 +7,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use datasets_spec::record::ItemRow;
-use datasets_spec::{BlendMask, Motion, MotionId, Rng, Seed};
+use datasets_spec::{BlendMask, Motion, MotionId, Rng, Seed, Split};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -122,8 +122,8 @@ impl Default for ItemCount {
 /// are returned than requested. `shown` holds the contents of the training split, which determine the novelty of items.
 ///
 /// # Errors
-/// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
-/// cannot be read.
+/// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, no item is of a requested
+/// novelty, or the motions cannot be read.
 pub fn draw_items<'a>(
     library: &Arc<Library>,
     config: &ItemConfig,
@@ -155,6 +155,9 @@ pub fn draw_items<'a>(
         ItemCount::Exactly(count) => count,
     };
     let questions = drawer.draw(&subjects, Quota::of(&config.novelty, count))?;
+    if questions.is_empty() {
+        return Err(none_drawn(drawer.library.split(), config));
+    }
     let found = digest_of_ids(questions.iter().map(|question| question.id.as_str()));
     let num_drawn = questions.len();
     if let Some(expected) = &config.digest
@@ -165,6 +168,11 @@ pub fn draw_items<'a>(
              dataset is not that of the set, or another version of the program made one of them"
         )));
     }
+    let of_novelty = config.novelty.iter().map(|&novelty| {
+        let is_of = |question: &&Question| question.novelty == Some(novelty);
+        (novelty, questions.iter().filter(is_of).count())
+    });
+    let of_novelty = of_novelty.collect();
     let questions = match config.part {
         Some(part) => Quota::of(&config.novelty, part).first(questions),
         None => questions,
@@ -173,8 +181,26 @@ pub fn draw_items<'a>(
         drawer,
         questions,
         num_drawn,
+        of_novelty,
         num_short,
     })
+}
+
+fn none_drawn(split: Split, config: &ItemConfig) -> Error {
+    let novelties: Vec<&str> = config
+        .novelty
+        .iter()
+        .map(|novelty| novelty.as_str())
+        .collect();
+    let tasks: Vec<&str> = config.tasks.iter().map(|task| task.as_str()).collect();
+    let of_task = match tasks.is_empty() {
+        true => String::new(),
+        false => format!("of task {} and ", tasks.join(", ")),
+    };
+    Error::Refused(format!(
+        "split {split} gives no item {of_task}of novelty {}; ask for others",
+        novelties.join(", ")
+    ))
 }
 
 /// The usable masks and pairs of the requested tasks, each with its draw, by which they are ordered, and the number of
@@ -228,6 +254,8 @@ pub struct DrawnItems<'a> {
     questions: Vec<Question>,
     /// Number of items that were drawn, of which [`ItemConfig::part`] are kept.
     pub num_drawn: usize,
+    /// How many of these are of each requested novelty.
+    pub of_novelty: BTreeMap<Novelty, usize>,
     /// Number of masks and pairs of the wanted tasks and kinds that are shorter than a window, and are no question.
     pub num_short: usize,
 }

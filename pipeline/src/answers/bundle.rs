@@ -33,8 +33,6 @@ const FORMAT: u32 = 2;
 const MAX_TEXT_LEN: u64 = 1 << 24;
 /// Maximum bytes of the answers, packed and unpacked: ten thousand answers of ten seconds take 0.6 GB.
 const MAX_ANSWERS_LEN: u64 = 4 << 30;
-/// Minimum frames of an answer: metrics need a frame with a neighbour on either side.
-const MIN_FRAMES: usize = 3;
 const BATCH_ROWS: usize = 64;
 
 /// Description of a bundle in its `bundle.json`.
@@ -341,11 +339,12 @@ impl Bundle {
             ));
         }
         let motion: Motion = row.motion().map_err(|error| error.to_string())?;
-        if usize::try_from(row.n_frames) != Ok(motion.len()) || motion.len() < MIN_FRAMES {
+        if usize::try_from(row.n_frames) != Ok(motion.len()) || motion.len() < EditRow::MIN_FRAMES {
             return Err(format!(
-                "it has {} frames and says {}; at least {MIN_FRAMES} are needed",
+                "it has {} frames and says {}; at least {} are needed",
                 motion.len(),
-                row.n_frames
+                row.n_frames,
+                EditRow::MIN_FRAMES
             ));
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! A motion of a foreign file, and its conversion to the frame of an item.
 
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
-use datasets_spec::record::ItemRow;
+use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use features::floor;
 use glam::{DMat3, DQuat, DVec3};
@@ -90,11 +90,13 @@ impl Recorded {
     ) -> Result<Motion, Rejected> {
         let fps = self.rate(options)?;
         let target = Fps::new(item.fps.into()).map_err(|error| bad(&error))?;
-        if self.transl.len() < 2 {
+        let frames = resample::grid(self.transl.len(), fps, target).len();
+        if frames < EditRow::MIN_FRAMES {
             return Err(rejected!(
                 "E-TOO-SHORT",
-                "found {} frames, expected at least 2",
-                self.transl.len()
+                "found {} frames, {frames} at the item's rate, expected at least {} of these",
+                self.transl.len(),
+                EditRow::MIN_FRAMES
             ));
         }
         let narrow = |frame: &[f64; 3]| frame.map(|value| value as f32);
@@ -258,6 +260,17 @@ mod tests {
         for (a, b) in back.iter().zip(motion) {
             assert!((a - b).abs() < 1e-5, "{a} and {b}");
         }
+        let frames = |frames: usize, fps: f64| {
+            let mut recorded = Recorded::of_motion(&wandering("answer", frames));
+            recorded.fps = Some(fps);
+            let motion = recorded.motion(&item, &skeleton, &options());
+            motion
+                .map(|motion| motion.len())
+                .map_err(|rejected| rejected.code)
+        };
+        // Metrics need three frames, counted at the rate of the item.
+        assert_eq!([frames(3, 20.0), frames(7, 60.0)], [Ok(3); 2]);
+        assert_eq!([frames(2, 20.0), frames(6, 60.0)], [Err("E-TOO-SHORT"); 2]);
         let mut rateless = recorded;
         rateless.fps = None;
         let refused = rateless.motion(&item, &skeleton, &options());

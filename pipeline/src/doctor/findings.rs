@@ -87,8 +87,7 @@ pub(super) struct Kind {
     pub(super) files: u64,
     pub(super) bytes: u64,
     pub(super) clips: u64,
-    /// Whether a file of it may hold several clips, which only reading it would show.
-    #[serde(skip)]
+    /// Whether `clips` is the least number: a file may hold several, which only reading it would show.
     pub(super) is_least: bool,
 }
 

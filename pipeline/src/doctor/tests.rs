@@ -91,7 +91,14 @@ fn files_that_may_hold_several_clips_are_counted_as_the_least() {
     let folder = tempfile::tempdir().expect("temporary folder");
     write(folder.path(), "a.glb", b"glTF\x02\0\0\0");
     write(folder.path(), "a_poses.npz", npz(&clip_members(40, 156)));
-    let text = examined(folder.path(), None).to_string();
+    let found = examined(folder.path(), None);
+    let document = serde_json::to_string(&found).expect("JSON");
+    assert_eq!(
+        document.matches("\"is_least\":true").count(),
+        1,
+        "{document}"
+    );
+    let text = found.to_string();
     let line = |format: &str| {
         text.lines()
             .find(|line| line.contains(format))

@@ -17,7 +17,7 @@ pub(super) enum Fate {
     /// The clip's source is not among those of this run, or cannot be read now.
     Elsewhere,
     Kept,
-    /// The motion in the file is unchanged, but something else that the clip is made of changed, such as a setting.
+    /// The file is unchanged or gives the same motion, but a label, a setting or another clip of the file changed.
     ReadAgain,
     /// The clip is read again because its file changed. If the file then gives the same motion, the fate is `ReadAgain`.
     Changed,

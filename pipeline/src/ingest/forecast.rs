@@ -88,7 +88,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     let recorded = &prepared.base.recorded;
     let mut fates = Fates::of(&plan, recorded, options.prune);
     let changed: BTreeSet<String> = fates.changed().map(str::to_owned).collect();
-    prepared.settle_now(&plan, &mut fates, &changed);
+    prepared.settle_now(&plan, &mut fates, &changed, progress);
     let lost = prepared.labels(&fates);
     let mut refusals = Vec::new();
     let mut refuse = |checked: Result<(), Error>| {

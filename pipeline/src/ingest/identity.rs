@@ -18,16 +18,15 @@ use crate::names::free;
 use crate::recordings::{Groups, source_clip};
 use crate::versions::taken_out;
 
-/// Whether a motion may be a clip of the same source whose id is that of the motion behind this prefix.
+/// Whether a motion of a release may be the recorded clip whose id is the motion's id behind this prefix.
 type IsWanted<'a> = dyn Fn(&Planned, &str) -> bool + 'a;
 
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
     ///
     /// A motion is the clip that was read from the same path; otherwise the clip of the same source whose file had the
-    /// same content and is no longer at its path; otherwise the clip of the same source that its release calls the same.
-    /// Motions that the dataset quarantined or skipped are refused again as
-    /// long as none of their inputs has changed.
+    /// same content and is no longer at its path; otherwise, in a release, the clip of the same source with the same id.
+    /// Motions that the dataset quarantined or skipped are refused again as long as none of their inputs has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
         // A clip whose file cannot be read now stays unchanged.
         let (sources, remarks) = (&self.sources, &mut self.notes.remarks);
@@ -124,8 +123,8 @@ impl Plan {
         self.recognise_by_id(items, recorded, &mut claimed);
     }
 
-    /// Recognises the other motions of releases by their source and the id that the release gives them: a dataset
-    /// writes a shard under a new name when one of its clips changes. A clip that several motions could be stays.
+    /// Recognises the remaining motions of releases by source and id, because datasets rename a shard when a clip in it
+    /// changes. If several motions could be one clip, none is.
     fn recognise_by_id(
         &self,
         items: &mut [Planned],
@@ -161,8 +160,8 @@ impl Plan {
         }
     }
 
-    /// The new motions of releases, by their places in `items`, and clips of the same source with the same id behind a
-    /// prefix for which `is_wanted` holds. Those that could be several are left out.
+    /// Pairs of a new motion of a release (its place in `items`) and a recorded clip (its index) of the same source, with
+    /// the same id behind a prefix that `is_wanted` accepts. Motions and clips in more than one pair are left out.
     fn same_ids(
         &self,
         items: &[Planned],
@@ -174,9 +173,17 @@ impl Plan {
         if !items.iter().any(is_new) {
             return Vec::new();
         }
+        // A clip that a release still lists where it was, though it cannot be read, is no other motion.
+        let entries = self.releases.iter();
+        let entries = entries.flat_map(|(_, release)| &release.contents().entries);
+        let listed: BTreeSet<(&str, &str)> = entries
+            .map(|entry| (entry.file.as_str(), entry.id.as_str()))
+            .collect();
         let mut by_end: BTreeMap<(&str, &str), Vec<usize>> = BTreeMap::new();
         for (index, clip) in recorded.clips.iter().enumerate() {
-            if claimed.contains(&index) {
+            let mut ends = ends_of(clip.id.as_str());
+            let is_listed = ends.any(|end| listed.contains(&(clip.path.as_str(), end)));
+            if is_listed || claimed.contains(&index) {
                 continue;
             }
             let source = recorded.sources[clip.source].name.as_str();

@@ -34,7 +34,8 @@ struct Detail {
     sources: Vec<u32>,
 }
 
-/// Plans an ingestion for any number of processes: every file is listed and hashed, but no motion is read. `out` is the
+/// Plans an ingestion for any number of processes: every file is listed and hashed, and of the motions only changed ones
+/// with labels of people are read. `out` is the
 /// folder of the plan.
 ///
 /// # Errors
@@ -64,7 +65,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.
     prepared.refuse_mixture(destination, &fates)?;
     prepared.refuse_common_ids(destination, &plan, &fates)?;
-    let labels = prepared.labels(&prepared.foreseen(&plan, &fates));
+    let labels = prepared.labels(&prepared.foreseen(&plan, &fates, progress));
     prepared.refuse_loss(destination, &labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);
     let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);

@@ -187,26 +187,15 @@ impl Plan {
     }
 }
 
-/// The rate of the frames of a motion: the stated one, unless its frames take another time in the source, as where the rule
-/// of HumanML3D calls 25 frames a second 20.
-fn true_rate(stated: f64, taken: f64) -> f64 {
-    /// Larger than what rounding to whole frames makes of a second.
-    const TOLERANCE: f64 = 0.1;
-    match (taken / stated - 1.0).abs() > TOLERANCE {
-        true if taken.is_finite() => taken,
-        _ => stated,
-    }
-}
-
 /// Where the frames of a motion lie in its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Timing {
-    /// Frames in a second.
+    /// The rate that the motion is stored at.
     fps: f64,
-    /// The rate that the motion is stored at, which may be another ([`datasets_spec::Resample::HumanMl3d`]).
-    stored: f64,
-    /// Time of the first frame in the source, in seconds.
-    start_s: f64,
+    /// First frame in the file.
+    start: f64,
+    /// Frames of the file per frame.
+    stride: f64,
     num_frames: usize,
 }
 
@@ -228,12 +217,12 @@ impl Timing {
             let (start, end, frames) = (start?, end?, frames?);
             all.extend(ids.into_iter().enumerate().map(|(row, id)| {
                 let (fps, source) = (f64::from(fps[row]), f64::from(source[row]));
-                let (start, end) = (f64::from(start[row]), f64::from(end[row]));
                 let num_frames = usize::try_from(frames[row]).unwrap_or(0);
+                let covered = usize::try_from(end[row] - start[row]).unwrap_or(0);
                 let timing = Self {
-                    stored: fps,
-                    fps: true_rate(fps, num_frames as f64 * source / (end - start)),
-                    start_s: start / source,
+                    fps,
+                    start: f64::from(start[row]),
+                    stride: clip::stride(source / fps, covered, num_frames),
                     num_frames,
                 };
                 (id, timing)
@@ -244,7 +233,7 @@ impl Timing {
 
     /// The frame of `now` that shows what `frame` of this motion shows.
     fn moved(self, frame: f64, now: Self) -> f64 {
-        (self.start_s + frame / self.fps - now.start_s) * now.fps
+        (self.start + frame * self.stride - now.start) / now.stride
     }
 }
 
@@ -265,7 +254,7 @@ impl Labels {
             let timings = before.get(&mask.motion_id).zip(now.get(&mask.motion_id));
             let timings = timings.filter(|(before, now)| before != now);
             let is_left = timings.is_none_or(|(before, now)| {
-                let stored = Fps::new(now.stored).unwrap_or(Fps::STORE);
+                let stored = Fps::new(now.fps).unwrap_or(Fps::STORE);
                 mask.move_range(now.num_frames, stored, |frame| before.moved(frame, *now))
             });
             if is_left {
@@ -298,5 +287,32 @@ impl Labels {
 
     fn lose(&mut self, table: &str, id: &str, (clip, reason): (&MotionId, String)) {
         self.lost.push(LostLabel::new(table, id, clip, reason));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_follow_the_frames_of_the_file_whatever_rate_is_stated() {
+        let timing = |fps: f64, source: f64, (start, covered): (f64, usize), num_frames: usize| {
+            let stride = clip::stride(source / fps, covered, num_frames);
+            Timing {
+                fps,
+                start,
+                stride,
+                num_frames,
+            }
+        };
+        // Every fifth of 396 frames: earlier versions stated the rate of the crop in place of that of the file.
+        let crop = |source: f64| timing(20.0, source, (25.0, 396), 80);
+        assert_eq!(crop(20.0), crop(119.99));
+        // From 20 fps to 10 fps, and from frame 30 of the file to its first.
+        let (before, now) = (
+            timing(20.0, 60.0, (30.0, 298), 100),
+            timing(10.0, 60.0, (0.0, 328), 55),
+        );
+        assert!((before.moved(10.0, now) - 10.0).abs() < 1e-9);
     }
 }

@@ -8,7 +8,7 @@ use datasets_spec::manifest::Manifest;
 use datasets_spec::record::MotionRow;
 use datasets_spec::store::Store;
 use datasets_spec::table::Row;
-use datasets_spec::{NoProgress, Progress, Resample, Seed};
+use datasets_spec::{Progress, Resample, Seed};
 use formats::source::ReadOptions;
 
 use super::deal::SHARD_SOURCES;
@@ -146,8 +146,17 @@ impl Prepared {
 
     /// The fates that can be foreseen. Changed clips whose labels would be lost are read now: a clip keeps them if its
     /// file gives the same motion, or no longer gives any.
-    pub(super) fn foreseen<'a>(&self, plan: &Plan, fates: &Fates<'a>) -> Fates<'a> {
+    pub(super) fn foreseen<'a>(
+        &self,
+        plan: &Plan,
+        fates: &Fates<'a>,
+        progress: &dyn Progress,
+    ) -> Fates<'a> {
         let mut foreseen = fates.clone();
+        // Nothing is refused then.
+        if self.options.drop_labels {
+            return foreseen;
+        }
         let mut read = BTreeSet::new();
         // A pair may be lost by its second clip once the first is known to be the same.
         loop {
@@ -157,17 +166,28 @@ impl Prepared {
             if clips.is_empty() {
                 return foreseen;
             }
-            self.settle_now(plan, &mut foreseen, &clips);
+            self.settle_now(plan, &mut foreseen, &clips, progress);
         }
     }
 
     /// Reads some of the clips that are read again, and decides their fates.
-    pub(super) fn settle_now(&self, plan: &Plan, fates: &mut Fates<'_>, clips: &BTreeSet<String>) {
+    pub(super) fn settle_now(
+        &self,
+        plan: &Plan,
+        fates: &mut Fates<'_>,
+        clips: &BTreeSet<String>,
+        progress: &dyn Progress,
+    ) {
         let clips: BTreeSet<&str> = clips.iter().map(String::as_str).collect();
+        let items = plan.items_with_ids(&clips);
+        if items.is_empty() {
+            return;
+        }
+        progress.begin("compare", Some(items.len() as u64));
         let mut met: BTreeMap<String, Result<String, Reread>> = BTreeMap::new();
         // The motions of more clips may not fit into memory.
-        for items in plan.items_with_ids(&clips).chunks(SHARD_SOURCES) {
-            let done = plan.read_items(items, &self.options, &NoProgress);
+        for items in items.chunks(SHARD_SOURCES) {
+            let done = plan.read_items(items, &self.options, progress);
             met.extend(items.iter().zip(done).map(|(item, done)| {
                 let found = match done {
                     Done::Clip(rows, _) => Ok(rows.motion.content_hash),
@@ -177,6 +197,7 @@ impl Prepared {
                 (item.planned.id.clone(), found)
             }));
         }
+        progress.finish(&format!("{} clips of files that changed", items.len()));
         fates.settle(|clip| match met.get(clip.id.as_str()) {
             Some(Ok(content)) => Reread::with(clip, content),
             Some(Err(why)) => *why,
@@ -192,14 +213,16 @@ impl Prepared {
         fates: &Fates<'_>,
     ) -> Result<(), Error> {
         let made = plan.items.iter().filter(|item| !item.is_kept);
-        let mut ids: BTreeSet<&str> = made.map(|item| item.id.as_str()).collect();
-        let mut staying = fates.staying().map(|clip| clip.id.as_str());
-        let Some(id) = staying.find(|id| !ids.insert(*id)) else {
+        let made = made.map(|item| item.id.as_str());
+        let staying = fates.staying().map(|clip| clip.id.as_str());
+        let mut ids = BTreeSet::new();
+        let Some(id) = made.chain(staying).find(|id| !ids.insert(*id)) else {
             return Ok(());
         };
         let reason = format!(
-            "two clips of {} would have the id {id}; nothing was changed. Go back to a version in which `stance verify` \
-             finds each id once (`stance dataset versions`, `stance dataset restore`), or ingest into a new folder",
+            "two clips of {} would have the id {id}; nothing was changed. If `stance verify` finds it twice in this dataset, or \
+             in one that is a source, go back to a version of that one without it (`stance dataset versions`, `stance dataset \
+             restore`)",
             root.display()
         );
         Err(Error::coded("E-COMMON-ID", id, reason))

@@ -185,7 +185,7 @@ impl Run<'_> {
         prepared.refuse_common_ids(&root, plan, &self.fates)?;
         prepared.refuse_loss(
             &root,
-            &prepared.labels(&prepared.foreseen(plan, &self.fates)),
+            &prepared.labels(&prepared.foreseen(plan, &self.fates, progress)),
         )?;
         let shards = plan.deal(&self.fates.rewritten());
         let mut tally = self.read(&shards, pieces, progress)?;

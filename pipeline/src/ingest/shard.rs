@@ -210,9 +210,8 @@ impl Plan {
             return Err(rejected);
         }
         let mut opened = self.files.open(file)?;
-        let of_file = labels::options_of(path, companions, options);
-        if let Some(outcome) = (item.planned.format.read_in_pieces)(&mut *opened, length, &of_file)
-        {
+        let options = &*labels::options_of(path, companions, options);
+        if let Some(outcome) = (item.planned.format.read_in_pieces)(&mut *opened, length, options) {
             return Ok(label(outcome, path, companions, around));
         }
         let bytes = self.files.read(file)?;

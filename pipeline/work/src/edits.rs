@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::dataset::{Commit, Transaction, table_facts};
+use datasets_spec::manifest::Manifest;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
 use datasets_spec::store::if_exists;
 use datasets_spec::table::{Row, read_column};
@@ -17,7 +18,8 @@ const BESIDE: [&str; 2] = ["times.json", "remarks.json"];
 /// Task of an item that is an edit of one motion, without a target.
 const FREE: &str = "free";
 
-/// Commits items and the edits of these items together.
+/// Commits items and the edits of these items together. Edits that they replace become an older version, with their
+/// scores.
 ///
 /// # Errors
 /// The folder is locked or cannot be written, or as [`make_room`].
@@ -47,6 +49,8 @@ pub fn commit_edits_in(
     quarantine: &Quarantine,
 ) -> Result<Dataset, Error> {
     make_room(&transaction, items, edits)?;
+    let replaces = |base: &Manifest| base.tables.contains_key(EditRow::TABLE);
+    let fresh = transaction.base().is_some_and(replaces);
     let item_split: fn(&ItemRow) -> Split = |row| row.split;
     let edit_split: fn(&EditRow) -> Split = |row| row.split;
     let items = transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?;
@@ -62,6 +66,7 @@ pub fn commit_edits_in(
         plan_hash: plan_hash.to_owned(),
         skeleton: skeleton.clone(),
         accounting,
+        fresh,
         ..Commit::default()
     })?)
 }

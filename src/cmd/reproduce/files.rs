@@ -1,5 +1,6 @@
 //! Files of results, and the parts of a plan that failed.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -61,6 +62,24 @@ pub(super) fn without_rows(paper: TableArg, out: &Path) -> String {
         false => "",
     };
     format!("{name} (no system of it has edits{stale})")
+}
+
+/// Files in the folders of tables and figures of `out` that are not among `written`, given without extension. Earlier
+/// plans have left them.
+pub(super) fn left_over(out: &Path, written: &BTreeSet<PathBuf>) -> Vec<String> {
+    let entries = ["tables", "figures"].map(|folder| std::fs::read_dir(out.join(folder)));
+    let paths = entries.into_iter().flatten().flatten().flatten();
+    let paths = paths.map(|entry| entry.path());
+    let left = paths.filter(|path| path.is_file() && !written.contains(&path.with_extension("")));
+    let names = left.map(|path| {
+        path.strip_prefix(out)
+            .unwrap_or(&path)
+            .display()
+            .to_string()
+    });
+    let mut names: Vec<String> = names.collect();
+    names.sort_unstable();
+    names
 }
 
 /// Name of the files of a chart.

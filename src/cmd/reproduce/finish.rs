@@ -1,5 +1,6 @@
 //! Final output of `stance reproduce`: files of tables and figures, the page, and the printed text.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use eval::judge::Judges;
@@ -10,7 +11,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::figures::FigureMade;
-use super::files::{Failed, file_name, write, write_drawing};
+use super::files::{Failed, file_name, left_over, write, write_drawing};
 use super::made::TableMade;
 use super::plan::Plan;
 use super::work::{Work, in_json};
@@ -46,6 +47,22 @@ struct Document {
     figures: Vec<FigureMade>,
     pictures: Vec<PathBuf>,
     failed: Vec<String>,
+}
+
+impl Document {
+    /// Paths of tables and drawings, without extension.
+    fn written(&self, out: &Path) -> BTreeSet<PathBuf> {
+        let of_figures = self.figures.iter().map(|figure| file_name(&figure.name));
+        let tables = self.tables.iter().map(|(name, _)| name.clone());
+        let tables = tables
+            .chain(of_figures)
+            .map(|name| out.join("tables").join(name));
+        let drawings = self.figures.iter().flat_map(|figure| &figure.drawings);
+        let drawings = drawings
+            .chain(&self.pictures)
+            .map(|path| path.with_extension(""));
+        tables.chain(drawings).collect()
+    }
 }
 
 /// Writes tables, figures and the page, which names the `command`, and prints the tables.
@@ -90,6 +107,14 @@ pub(super) fn finish(
     let text = serde_json::to_vec_pretty(document)?;
     write(&out.join("results.json"), &text)?;
     write(&out.join("record.jsonl"), &results.record)?;
+    let left = left_over(out, &document.written(out));
+    if !left.is_empty() {
+        report::note(&format!(
+            "{} holds files of earlier runs, which this one did not write: {}",
+            out.display(),
+            left.join(", ")
+        ));
+    }
     let paths = document.pictures.iter().chain([&document.page]);
     let paths = paths.map(|path| path.display().to_string());
     results.texts.extend(paths);

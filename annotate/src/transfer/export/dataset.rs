@@ -81,7 +81,8 @@ impl Exporter<'_> {
         let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
         let is_recorded =
             rejected == manifest.rejected_pairs()? && unmasked == manifest.rejected_masks()?;
-        // What was accepted again since the last export is written as it was, and newer than others' rejections.
+        // Equal rows are written again if an answer is newer than the last export: `leave_rejected` tells by its number which
+        // rejections of others came later.
         let is_own = manifest.facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
         let written = manifest.facts.get(ANNOTATE_SEQ_FACT);
         let written = written.and_then(|seq| seq.parse::<i64>().ok());
@@ -149,7 +150,7 @@ impl Exporter<'_> {
         let mut tasks = TasksOf::new();
         self.each_accepted(|exporter, accepted| {
             // Others may have changed the label since it was imported; nobody here has judged it.
-            if accepted.of_dataset {
+            if accepted.is_of_dataset() {
                 exporter.done.count("labels_left_as_they_are", 1);
                 return Ok(());
             }
@@ -477,7 +478,7 @@ impl Exporter<'_> {
                 text: sentence(&mask.text),
                 text_origin: "human".to_owned(),
                 author: self.author(accepted),
-                accepted_by: Some(accepted.accepted_by.clone()),
+                accepted_by: Some(accepted.accepted_by().to_owned()),
             });
         }
         Ok(rows)
@@ -509,7 +510,7 @@ impl Exporter<'_> {
             parts: stored_parts(&said),
             instruction: said.text.to_owned(),
             edit_type: said.edit_type.map(|kind| kind.to_string()),
-            accepted_by: Some(accepted.accepted_by.clone()),
+            accepted_by: Some(accepted.accepted_by().to_owned()),
         })))
     }
 }

@@ -138,7 +138,7 @@ impl<'a> Exporter<'a> {
         }
         if own > 0 {
             self.done.messages.push(format!(
-                "{own} exported answers were accepted by their own authors; `accepted_by` marks them"
+                "{own} accepted answers in these splits were accepted by their own authors; `accepted_by` marks them"
             ));
         }
         let changed = self.store.changed_tasks()?;

@@ -31,7 +31,7 @@ impl Exporter<'_> {
         }
         self.each_accepted(|exporter, accepted| {
             let (motion, target) = exporter.ids(&accepted.task)?;
-            let (task, accepted_by) = (&accepted.task, &accepted.accepted_by);
+            let (task, accepted_by) = (&accepted.task, accepted.accepted_by());
             let said = accepted.answer.fields();
             if task.kind == TaskKind::MaskText {
                 for (name, count) in lost_of(said.masks) {

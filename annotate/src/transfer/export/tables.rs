@@ -105,7 +105,7 @@ impl Exporter<'_> {
             author,
             merged: u32::from(accepted.merged),
             extra: task.extra.as_ref().map(ToString::to_string),
-            accepted_by: Some(accepted.accepted_by.clone()),
+            accepted_by: Some(accepted.accepted_by().to_owned()),
             motion_hash: Some(task.source.clone()),
             target_hash: task.target.clone(),
         };
@@ -233,7 +233,7 @@ impl Exporter<'_> {
             if let Some(verdict) = verdict.filter(|_| accepted.answer.is_reject()) {
                 let author = self.author(&accepted);
                 let row = self.reject(&accepted.task, verdict.to_string(), author)?;
-                let accepted_by = Some(accepted.accepted_by);
+                let accepted_by = Some(accepted.accepted_by().to_owned());
                 rows.push(RejectRow { accepted_by, ..row });
             }
         }

@@ -31,6 +31,26 @@ fn a_part_is_the_first_of_the_drawn_items() {
 }
 
 #[test]
+fn no_item_of_a_novelty_is_an_error_that_names_it() {
+    let library = Arc::new(fixture::library(Split::Test, CLIPS));
+    let mut config = ItemConfig {
+        novelty: vec![Novelty::Retake, Novelty::Action],
+        ..ItemConfig::default()
+    };
+    let shown = Shown::default();
+    for (tasks, of_task) in [
+        (vec![], ""),
+        (vec![ItemTask::Semantic], "of task semantic and "),
+    ] {
+        config.tasks = tasks;
+        let error = draw_items(&library, &config, &shown, Seed(3)).err();
+        let error = error.expect("nothing is shown").to_string();
+        let start = format!("split test gives no item {of_task}of novelty retake, action;");
+        assert!(error.starts_with(&start), "{error}");
+    }
+}
+
+#[test]
 fn the_annotations_are_covered_before_any_is_used_again() {
     let library = Arc::new(fixture::library(Split::Test, CLIPS));
     let items = drawn(&library, ItemCount::Exactly(13));

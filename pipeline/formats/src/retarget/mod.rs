@@ -147,9 +147,8 @@ fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
     ))
 }
 
-/// Rotates a track to y up, with a note if another axis was up. Returns whether the axis is doubtful: it is the one along
-/// which the person stands, and they do not stand upright most of the time, or another one than y that is not that of a
-/// standing zero pose.
+/// Rotates a track to y up, with a note if another axis was up. Returns whether the axis is doubtful: nobody stated it, and
+/// either the person rarely stands upright, or the axis is not y and a standing zero pose has another.
 fn set_upright(track: &mut Track, stated_up: Option<Up>, notes: &mut Vec<String>) -> bool {
     let (up, is_clear) = match stated_up {
         Some(up) => (up, true),

@@ -194,7 +194,13 @@ fn check_parts<'a>(
             continue;
         }
         let part = matrix(archive, bytes, key)?;
-        let frames = part.num_rows().min(poses.num_rows());
+        let (found, frames) = (part.num_rows(), poses.num_rows());
+        if found != frames {
+            return Err(rejected!(
+                "E-AMASS-KEYS",
+                "found {found} frames in {key} and {frames} in poses, expected as many"
+            ));
+        }
         let width = width.min(part.width());
         for (frame, column) in (0..frames * width).map(|at| (at / width, at % width)) {
             let ([own], [other]) = (part.get(frame, column), poses.get(frame, from + column));

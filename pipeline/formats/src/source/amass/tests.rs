@@ -188,7 +188,7 @@ fn arrays_that_contradict_each_other_are_refused_with_both_numbers() {
         .collect();
     let read = |body: &[f64], fps: f64| {
         let mut members = clip_members(3, 156);
-        members.push(("pose_body", npy_f8(&[3, 63], body)));
+        members.push(("pose_body", npy_f8(&[body.len() / 63, 63], body)));
         members.push(("mocap_frame_rate", npy_f8(&[], &[fps])));
         read_members(&members)
     };
@@ -198,6 +198,8 @@ fn arrays_that_contradict_each_other_are_refused_with_both_numbers() {
     body[63] += 0.5;
     let rejected = read(&body, 120.000_045_776).expect_err("two poses");
     assert_refused(&rejected, "E-AMASS-KEYS", "in frame 1 of pose_body");
+    let rejected = read(&body[..126], 120.000_045_776).expect_err("two lengths");
+    assert_refused(&rejected, "E-AMASS-KEYS", "2 frames in pose_body");
 }
 
 #[test]

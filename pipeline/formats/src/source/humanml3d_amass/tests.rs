@@ -142,7 +142,7 @@ fn a_crop_states_the_rate_of_its_file_and_which_frames_it_takes() {
         (clip.source_fps.get(), clip.motion.fps()),
         (119.99, Fps::STORE)
     );
-    assert_says(&clip, "its true rate is 23.99");
+    assert_says(&clip, "its true rate is 23.998 fps");
     // Every fifth frame is taken, not every 5.9995th.
     assert_eq!(clip.source_frames, 25..121);
     assert_eq!(

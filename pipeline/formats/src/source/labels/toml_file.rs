@@ -50,11 +50,13 @@ pub(super) fn parse(text: &str) -> Content {
     let of_clips = clips.iter().map(|(_, _, labels)| labels);
     for labels in of_clips.chain([&*all]) {
         let error = labels.fit_error_m.map(|error| error.to_string());
+        let up = labels.up.map(|up| up.to_string());
         for (field, said) in [
             ("id", &labels.id),
             ("mirrored_of", &labels.mirrored_of),
             ("rotation_source", &labels.rotation_source),
             ("fit_error_m", &error),
+            ("up", &up),
         ] {
             problems.extend(said.as_ref().map(|said| {
                 format!("{field} {said:?} was not used: only the file STEM.stance.json beside a motion states it")
@@ -102,7 +104,7 @@ mod tests {
     #[test]
     fn what_does_not_parse_is_named_and_the_rest_is_used() {
         let content = parse(
-            "lisence = 'CC0-1.0'\n[clips.a]\naction = 'walk'\n[clips.b]\nsplit = 'all'\n\
+            "lisence = 'CC0-1.0'\n[clips.a]\naction = 'walk'\nup = 'z'\n[clips.b]\nsplit = 'all'\n\
              [clips.c]\ncaptions = [{ text = 'turns', from_s = 3, to_s = 2 }, ' ']\nparts = [{ part = 'TAIL', text = 'wagging' }]\n",
         );
         assert_eq!(content.clips.len(), 2, "a and c");
@@ -113,6 +115,7 @@ mod tests {
             "from 3 s to 2 s",
             "no text",
             "TAIL",
+            "up \"z\" was not used",
         ] {
             assert!(problems.contains(part), "{part}: {problems}");
         }
