@@ -22,7 +22,7 @@ use tables::{Condition, chosen};
 pub use work::Context;
 
 use crate::Error;
-use crate::annotation::masks::{self, Activity, MaskConfig};
+use crate::annotation::masks::{self, Activity, LeftOut, MaskConfig};
 use crate::annotation::pairs::{
     self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, new_pairs, style_pairs,
 };
@@ -135,7 +135,7 @@ pub struct Discarded {
 
 /// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source came with masks get
 /// no automatic ones, and what people rejected is not made again, except by [`Judged::Replace`]. With a condition, the
-/// masks of other clips stay as they are. Also returns what was discarded.
+/// masks of other clips stay as they are. Also returns what was discarded, and if masks were derived, what was left out.
 ///
 /// # Errors
 /// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
@@ -145,18 +145,20 @@ pub fn masks(
     judged: Judged,
     condition: Option<&Condition>,
     context: &Context<'_>,
-) -> Result<(Dataset, Discarded), Error> {
+) -> Result<(Dataset, Discarded, Option<LeftOut>), Error> {
     let mut discarded = Discarded::default();
     let dataset = open_motions(root)?;
     let motions_plan = dataset.manifest().plan(MotionRow::TABLE);
     let plan = match condition {
-        None => plan_hash("masks", &(motions_plan, config)),
-        Some(condition) => plan_hash("masks", &(motions_plan, config, condition.text())),
+        None => plan_hash(masks::AUTHOR, &(motions_plan, config)),
+        Some(condition) => plan_hash(masks::AUTHOR, &(motions_plan, config, condition.text())),
     };
     let is_same_plan = dataset.manifest().plan(MaskRow::TABLE) == plan;
     let chosen = match chosen(&dataset, condition) {
         // Once the stage has run, no clip fulfils a condition such as `NOT has_mask`.
-        Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok((dataset, discarded)),
+        Err(tables::Error::NoneChosen { .. }) if is_same_plan => {
+            return Ok((dataset, discarded, None));
+        }
         chosen => chosen?,
     };
     let present: Vec<MaskRow> = dataset.read(None)?;
@@ -165,7 +167,7 @@ pub fn masks(
     };
     let by_people = present.iter().filter(is_of_people).count();
     match judged {
-        Judged::Keep if by_people > 0 => return Ok((dataset, discarded)),
+        Judged::Keep if by_people > 0 => return Ok((dataset, discarded, None)),
         Judged::Refuse if by_people > 0 => {
             return Err(Error::refused(format!(
                 "{} holds {by_people} masks judged by people, which automatic masks would replace; pass --add to keep \
@@ -182,19 +184,18 @@ pub fn masks(
     }
     // The plan does not tell which masks were kept, nor which clips a condition chose.
     if is_same_plan && condition.is_none() && judged != Judged::Replace {
-        return Ok((dataset, discarded));
+        return Ok((dataset, discarded, None));
     }
     let num_clips = dataset.manifest().rows(MotionRow::TABLE, None);
     context.progress.begin("masks", Some(num_clips));
-    let skeleton = dataset.skeleton()?;
     // The clips are dropped here: their labels take as much memory as the masks.
-    let automatic = {
-        let (motions, activities) = measured(&dataset, &skeleton, config, context)?;
+    let (automatic, found) = {
+        let (motions, activities) = measured(&dataset, &dataset.skeleton()?, config, context)?;
         masks::masks_from(&motions, &activities, config)?
     };
     // Texts of parts are imported too, into masks that this stage derives.
     let is_of_source =
-        |mask: &MaskRow| mask.text_origin == masks::IMPORTED && mask.author != masks::AUTHOR;
+        |mask: &MaskRow| mask.text_origin == masks::IMPORTED && !masks::is_derived(mask);
     let stays = |mask: &&MaskRow| {
         judged == Judged::Add || is_of_source(mask) || !chosen.has_clip(&mask.motion_id)
     };
@@ -202,6 +203,7 @@ pub fn masks(
     let rejections = dataset.rejections(&lists)?;
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     let is_free = |id: &MotionId| chosen.has_clip(id) && !masked.contains(id);
+    let left_out = Some(found.of(is_free));
     let is_new = |mask: &MaskRow| is_free(&mask.motion_id) && !rejections.has(mask);
     rows.extend(automatic.into_iter().filter(is_new));
     let done = format!("{} masks on {num_clips} clips", rows.len());
@@ -212,10 +214,10 @@ pub fn masks(
     }
     let is_same = are_same_rows([&rows, &present], |row| row.id.as_str());
     if is_same_plan && is_same && facts.is_empty() {
-        return Ok((dataset, discarded));
+        return Ok((dataset, discarded, left_out));
     }
     let dataset = commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)?;
-    Ok((dataset, discarded))
+    Ok((dataset, discarded, left_out))
 }
 
 /// Removes the rejections of chosen clips, and returns their number.

@@ -27,7 +27,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = CorpusOptions::default().adjusted)]
     adjusted: usize,
     /// State splits that test generalisation: actions, a performer, and a style of every action are held out of
-    /// training. The test set builtin-1 uses `--clips 780 --adjusted 2 --held-out`
+    /// training. The test set builtin-2 uses `--clips 780 --adjusted 2 --held-out`
     #[arg(long)]
     held_out: bool,
     /// Instead, write test questions that editors are known to answer badly, in a folder for each kind: counting, left

@@ -30,7 +30,7 @@ pub(crate) struct Args {
     #[arg(long)]
     quick: bool,
     /// Train the rows to compare with, too: pairs composed once, and captured pairs alone; and score on all 300 items of
-    /// the test set builtin-1, instead of the first 150
+    /// the test set builtin-2, instead of the first 150
     #[arg(long, conflicts_with = "quick")]
     full: bool,
     #[command(flatten)]

@@ -16,7 +16,7 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
-use crate::test_set::{self, BUILTIN_1, TestSet};
+use crate::test_set::{self, BUILTIN, TestSet};
 
 /// Draw the test questions: a motion, an instruction, and the expected result.
 ///
@@ -35,9 +35,9 @@ pub(crate) struct Args {
     /// Dataset folder with motions, and masks or pairs
     #[arg(required = true)]
     dataset: Option<PathBuf>,
-    /// Draw the items of a set again: those of a file `set.json`, which this command writes beside items, or builtin-1,
+    /// Draw the items of a set again: those of a file `set.json`, which this command writes beside items, or builtin-2,
     /// 300 questions on the built-in corpus that come with the program
-    #[arg(long, value_name = "FILE|builtin-1", value_parser = parse_set, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
+    #[arg(long, value_name = "FILE|builtin-2", value_parser = parse_set, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
     set: Option<String>,
     /// Split to draw from
     #[arg(long, default_value = "test")]
@@ -85,10 +85,10 @@ struct ExportArgs {
 
 fn parse_set(name: &str) -> Result<String, String> {
     match name {
-        BUILTIN_1 => Ok(name.to_owned()),
+        BUILTIN => Ok(name.to_owned()),
         _ if Path::new(name).is_file() => Ok(name.to_owned()),
         _ => Err(format!(
-            "{name:?} is neither a file nor a set that comes with the program; there is {BUILTIN_1}"
+            "{name:?} is neither a file nor a set that comes with the program; there is {BUILTIN}"
         )),
     }
 }
@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         anyhow::bail!("name the dataset and where to write: stance items DATASET --out ITEMS");
     };
     let mut set = match args.set.as_deref() {
-        Some(BUILTIN_1) => TestSet::builtin_1(),
+        Some(BUILTIN) => TestSet::builtin(),
         Some(file) => TestSet::read(file.as_ref())?,
         None => TestSet {
             split: args.split,
@@ -125,10 +125,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     let before = Dataset::open_unverified(out).ok();
     let mut drawn = set.draw(dataset, out, global);
-    if args.set.as_deref() == Some(BUILTIN_1) {
+    if args.set.as_deref() == Some(BUILTIN) {
         drawn = drawn.with_context(|| {
             format!(
-                "{BUILTIN_1} is drawn from a dataset of its own, which these commands make in new folders: {}",
+                "{BUILTIN} is drawn from a dataset of its own, which these commands make in new folders: {}",
                 test_set::commands()
             )
         });

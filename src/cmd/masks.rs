@@ -10,8 +10,9 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::rejected::{MaskPlace, RejectedMask};
 use datasets_spec::table::{Caption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
-use pipeline::annotation::masks::MaskConfig;
+use pipeline::annotation::masks::{LeftOut, MaskConfig};
 use pipeline::stage::{self, Discarded, Judged};
+use serde_json::json;
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
@@ -21,7 +22,7 @@ use crate::{local, report};
 /// Mark which body parts each clip is about, and let people correct it.
 ///
 /// Without further options, masks are derived from the motions: a part is active when its joints move fast compared
-/// with the training split. With --drafts the masks are written as one JSON object per line for people to edit; with
+/// with the training split. The text of a mask is a caption, and the mask holds for as long as that. With --drafts the masks are written as one JSON object per line for people to edit; with
 /// --accept the edited lines are checked and imported. An edited line without a verdict stays a draft with its edits.
 ///
 /// --where marks only some clips, or writes only their drafts; the masks of other clips do not change.
@@ -72,8 +73,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ));
         return Ok(Exit::Done);
     }
-    let (dataset, discarded) = match &args.accept {
-        Some(file) => (accept(args, file, global)?, Discarded::default()),
+    let (dataset, discarded, left_out) = match &args.accept {
+        Some(file) => (accept(args, file, global)?, Discarded::default(), None),
         None => {
             let config = MaskConfig::default();
             let judged = match (args.replace, args.add) {
@@ -87,7 +88,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             })?
         }
     };
-    print(&dataset, discarded, global)
+    print(&dataset, discarded, left_out, global)
 }
 
 fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> {
@@ -180,7 +181,12 @@ fn num_wordless(dataset: &Dataset) -> anyhow::Result<usize> {
     Ok(count)
 }
 
-fn print(dataset: &Dataset, discarded: Discarded, global: &Global) -> anyhow::Result<Exit> {
+fn print(
+    dataset: &Dataset,
+    discarded: Discarded,
+    left_out: Option<LeftOut>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
     let mut origins: BTreeMap<String, u64> = BTreeMap::new();
     let mut parts: BTreeMap<String, u64> = BTreeMap::new();
     for row in dataset.read::<MaskRow>(None)? {
@@ -202,6 +208,18 @@ fn print(dataset: &Dataset, discarded: Discarded, global: &Global) -> anyhow::Re
              or stance.toml\n"
         );
     }
+    let left_out = left_out.map(|clips| (clips.short_captions.len(), clips.other_side.len()));
+    let (short, other_side) = left_out.unwrap_or_default();
+    if short > 0 {
+        text += &format!(
+            "the captions of {short} clips hold for less than a training window; no mask is derived from them\n"
+        );
+    }
+    if other_side > 0 {
+        text += &format!(
+            "{other_side} clips have no mask of the one arm that moves, because their caption names the other side\n"
+        );
+    }
     for (title, counts) in [("text", &origins), ("part", &parts)] {
         for (label, count) in counts {
             text += &format!("  {title} {label:<20} {count:>6}\n");
@@ -214,10 +232,12 @@ fn print(dataset: &Dataset, discarded: Discarded, global: &Global) -> anyhow::Re
             "people rejected {single} masks, and all masks of {clips} clips; they are not derived again without --replace\n"
         );
     }
-    let document = serde_json::json!({
+    let document = json!({
         "masks": masks,
         "discarded": discarded,
         "clips_without_words": wordless,
+        // Known only where this run derived the masks.
+        "left_out": left_out.map(|_| json!({ "short_captions": short, "other_side": other_side })),
         "rejected": { "masks": single, "clips": clips },
         "origins": origins,
         "parts": parts,

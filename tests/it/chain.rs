@@ -188,6 +188,7 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     let done: Value = folder.json(accept);
     assert_eq!(done["masks"], lines.lines().count() - 1);
     assert_eq!(done["origins"]["human"], 2);
+    assert_eq!(done["left_out"], Value::Null);
     folder.refused("masks @dataset", "2 masks judged by people");
     folder.put("masks.jsonl", "{}\n");
     folder.refused(accept, "masks.jsonl:1");
@@ -201,6 +202,8 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     let replaced: Value = folder.json("masks @dataset --replace");
     let discarded = json!({ "masks": 2, "rejections": rejections });
     assert_eq!(replaced["discarded"], discarded);
+    assert_eq!(replaced["left_out"]["short_captions"], 0);
+    assert!(replaced["left_out"]["other_side"].is_u64(), "{replaced}");
     assert!(rejections > 0, "{added}");
     assert_eq!(replaced["masks"], lines.lines().count());
     assert!(replaced["origins"]["human"].is_null(), "{replaced}");

@@ -97,7 +97,7 @@ impl Rules {
 #[test]
 fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
     let folder = with_dataset("780");
-    let done: Value = folder.json("items @dataset --set builtin-1 --out @items");
+    let done: Value = folder.json("items @dataset --set builtin-2 --out @items");
     assert_eq!(done["items"], 300, "{done}");
     for value in ["retake", "combination", "action"] {
         assert_eq!(done["novelty"][value], 100, "{done}");
@@ -123,13 +123,13 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
 #[test]
 fn a_dataset_that_is_not_that_of_a_test_set_is_refused_and_one_without_training_has_no_novelty() {
     let folder = with_dataset("330");
-    let refused = folder.typed("items @dataset --set builtin-1 --out @items");
+    let refused = folder.typed("items @dataset --set builtin-2 --out @items");
     refused.expect_refused("--clips 780 --adjusted 2 --held-out");
     assert!(!folder.path("items").exists());
-    let unknown = folder.typed("items @dataset --set builtin-2 --out @items");
-    unknown.expect_code(2).expect_said("there is builtin-1");
+    let unknown = folder.typed("items @dataset --set builtin-1 --out @items");
+    unknown.expect_code(2).expect_said("there is builtin-2");
     folder.refused(
-        "items @dataset --set builtin-1 --seed 3 --out @items",
+        "items @dataset --set builtin-2 --seed 3 --out @items",
         "leave --seed out",
     );
     // Training has shown all actions that style is transferred to.

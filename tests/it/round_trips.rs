@@ -11,7 +11,10 @@ use datasets_spec::table::{Row, read_rows};
 use serde_json::{Value, json};
 
 use crate::annotate::{accept, from_json, opened, people};
-use crate::util::{Folder, Ran, assert_has, commit, json_of, len_of, motions_of, put};
+use crate::util::{
+    Folder, Ran, assert_has, commit, files_with_extension, json_of, len_of, motions_of, put,
+    stem_of, text_of,
+};
 
 /// Number of rejected pairs among the answers.
 const REJECTED: usize = 5;
@@ -597,4 +600,47 @@ fn how_rotations_were_made_and_how_well_they_fit_goes_along_with_exports() {
         dir.run(&format!("ingest @{layout} --out @{layout}-back"));
         assert_eq!(made(&format!("{layout}-back")), expected, "{layout}");
     }
+}
+
+#[test]
+fn masks_of_a_release_do_not_come_back_once_people_have_corrected_them() {
+    let folder = Folder::of_dataset(6);
+    folder.run("export @dataset --to stance --out @release");
+    // Without its record, the export is a release of others.
+    let mut record = files_with_extension(&folder.path("release"), "jsonl");
+    record.push(folder.path("release/origin.json"));
+    for file in record {
+        std::fs::remove_file(file).expect("removed");
+    }
+    let motions = files_with_extension(&folder.path("release/base_motion"), "pkl");
+    let [one, other] = [0, 1].map(|number: usize| stem_of(&motions[number]));
+    let annotate = |text: &str| {
+        let masks = json!({ &one: ["UPPER_BODY", "LEFT_ARM"], &other: ["LOWER_BODY"] });
+        let texts = json!({ &one: ["bends", "lifts"], &other: [text] });
+        folder.put("release/regen/mask_all.json", masks.to_string());
+        folder.put("release/regen/part_annotations.json", texts.to_string());
+        let report: Value = folder.json("ingest @release --out @grown");
+        report["growth"]["gave_way"].clone()
+    };
+    let texts = || -> BTreeSet<String> {
+        let masks = folder.rows::<MaskRow>("grown").into_iter();
+        masks.map(|mask| mask.text).collect()
+    };
+    annotate("walks");
+    folder.run("masks @grown --drafts @lines.jsonl");
+    let lines = text_of(folder.path("lines.jsonl"));
+    let lines = lines.lines().map(|line| {
+        let mut line: Value = serde_json::from_str(line).expect("a line");
+        if line["text"] == "lifts" {
+            line["text"] = json!("raises a hand");
+            line["verdict"] = json!("accept");
+        }
+        format!("{line}\n")
+    });
+    folder.put("lines.jsonl", lines.collect::<String>());
+    folder.run("masks @grown --accept @lines.jsonl --author ann");
+    let set = |texts: [&str; 3]| BTreeSet::from(texts.map(str::to_owned));
+    assert_eq!(texts(), set(["bends", "raises a hand", "walks"]));
+    assert_eq!(annotate("walks on"), 1);
+    assert_eq!(texts(), set(["bends", "raises a hand", "walks on"]));
 }

@@ -84,6 +84,12 @@ pub enum Described {
 }
 
 impl Described {
+    /// The words, without subject or part.
+    pub fn text(&self) -> &str {
+        let (Self::Doing(text) | Self::AsSaid(text)) = self;
+        text
+    }
+
     /// The instruction for one body part.
     pub fn instruction(&self, part: BodyPart) -> String {
         match self {
@@ -98,13 +104,21 @@ impl Described {
     }
 }
 
-/// Description of a clip by its first caption of the whole clip, else by its first caption, else by its action label;
-/// `None` without any of these.
-pub fn described(captions: &[Caption], action: Option<&str>) -> Option<Described> {
-    let of_whole = |caption: &&Caption| caption.from_s == 0.0 && caption.to_s == 0.0;
+/// Description of a clip by its first caption of the whole clip, else by its first caption, else by its action label,
+/// and the caption; `None` without any of these.
+pub fn described<'a>(
+    captions: &[&'a Caption],
+    action: Option<&str>,
+) -> Option<(Described, Option<&'a Caption>)> {
+    let of_whole = |caption: &&&Caption| caption.from_s == 0.0 && caption.to_s == 0.0;
     let caption = captions.iter().find(of_whole).or(captions.first());
-    let of_caption = caption.and_then(|caption| of_text(&caption.text));
-    of_caption.or_else(|| of_text(&action?.replace(['_', '-'], " ").to_lowercase()))
+    let of_caption = caption.and_then(|caption| Some((of_text(&caption.text)?, Some(*caption))));
+    of_caption.or_else(|| {
+        Some((
+            of_text(&action?.replace(['_', '-'], " ").to_lowercase())?,
+            None,
+        ))
+    })
 }
 
 fn of_text(text: &str) -> Option<Described> {
@@ -349,18 +363,25 @@ mod tests {
 
     #[test]
     fn the_caption_of_the_whole_clip_comes_first_and_the_label_last() {
-        let doing = |text: &str| Some(Described::Doing(text.to_owned()));
+        let doing = |text: &str, caption| Some((Described::Doing(text.to_owned()), caption));
         let part = Caption {
             to_s: 2.0,
             ..caption("a person sits")
         };
-        let captions = [part.clone(), caption("a person stands")];
-        assert_eq!(described(&captions, None), doing("standing"));
-        assert_eq!(described(&[part], Some("kick")), doing("sitting"));
-        assert_eq!(described(&[], Some("kick")), doing("kicking"));
+        let (part, whole) = (&part, &caption("a person stands"));
+        let blank = &caption(" ");
+        assert_eq!(
+            described(&[part, whole], None),
+            doing("standing", Some(whole))
+        );
+        assert_eq!(
+            described(&[part], Some("kick")),
+            doing("sitting", Some(part))
+        );
+        assert_eq!(described(&[], Some("kick")), doing("kicking", None));
         let label = Some("raise-up_hand");
-        assert_eq!(described(&[], label), doing("raising up hand"));
-        assert_eq!(described(&[caption(" ")], None), None);
+        assert_eq!(described(&[], label), doing("raising up hand", None));
+        assert_eq!(described(&[blank], None), None);
         assert_eq!(described(&[], None), None);
     }
 }

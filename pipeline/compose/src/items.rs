@@ -589,8 +589,9 @@ impl Drawer<'_> {
         }
     }
 
-    /// The edited motion of an item, made with another capture of the same action in the same style: an upper bound for
-    /// editors. `None` without such a capture at least as long as a window or the item, and for an edit of a part of the clip.
+    /// The edited motion of an item, made with another capture of the same action in the same style, whose captions name
+    /// the same sides and turns, by the same performer if there is one: an upper bound for editors. `None` without such
+    /// a capture at least as long as a window or the item, and for an edit of a part of the clip.
     fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
         let library = &self.library;
         // The frames of a mask show another moment in another take.
@@ -598,11 +599,16 @@ impl Drawer<'_> {
             return Ok(None);
         }
         let target = library.captured(&item.target_id);
-        let takes: Vec<&Clip> = library
+        let mut takes: Vec<&Clip> = library
             .other_takes(target)
             .filter(|clip| clip.id != item.source_id)
             .filter(|clip| clip.len() >= self.span.min(item.original.len()))
+            .filter(|clip| self.shown.have_equal_sides([&clip.id, &target.id]))
             .collect();
+        let is_own = |clip: &&Clip| self.shown.have_one_performer([&clip.id, &target.id]);
+        if takes.iter().any(is_own) {
+            takes.retain(is_own);
+        }
         let Some(longest) = takes.iter().map(|clip| clip.len()).max() else {
             return Ok(None);
         };

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::str::FromStr;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Row, read_column};
+use datasets_spec::sides::Sides;
+use datasets_spec::table::{Caption, PartCaption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
@@ -62,6 +63,8 @@ enum Edit {
 pub struct Shown {
     /// Groups of all clips with a known action, of every split.
     groups: BTreeMap<MotionId, Group>,
+    /// Sides and turns that the captions of those clips and of their parts name.
+    sides: BTreeMap<MotionId, Sides>,
     /// Groups, actions and edits of the training split, and its edits with the action of their clip.
     trained: BTreeSet<Group>,
     actions: BTreeSet<String>,
@@ -83,8 +86,19 @@ impl Shown {
             let of = |column| read_column::<MotionRow, Option<String>>(&path, column);
             let (actions, styles, subjects) = (of("action")?, of("style")?, of("subject")?);
             let labels = names.into_iter().zip(actions).zip(styles).zip(subjects);
-            for (id, (((source, action), style), subject)) in ids.into_iter().zip(labels) {
+            let captions: Vec<Vec<Caption>> = read_column::<MotionRow, _>(&path, "captions")?;
+            let parts: Vec<Vec<PartCaption>> = read_column::<MotionRow, _>(&path, "part_captions")?;
+            let texts = captions.iter().zip(&parts);
+            let clips = ids.into_iter().zip(labels).zip(texts);
+            for ((id, (((source, action), style), subject)), (captions, parts)) in clips {
                 let Some(action) = action else { continue };
+                let texts = captions.iter().map(|caption| caption.text.as_str());
+                let parts = parts
+                    .iter()
+                    .flat_map(|part| [part.part.as_str(), part.text.as_str()]);
+                shown
+                    .sides
+                    .insert(id.clone(), Sides::of(texts.chain(parts)));
                 let performer = subject.map(|subject| (source, subject));
                 let group = Group {
                     action,
@@ -144,6 +158,18 @@ impl Shown {
             self.edits_of.insert((group.action.clone(), edit.clone()));
         }
         self.edits.insert(edit);
+    }
+
+    /// Whether the captions of two clips name the same sides and turns.
+    pub(super) fn have_equal_sides(&self, clips: [&MotionId; 2]) -> bool {
+        let [one, other] = clips.map(|id| self.sides.get(id));
+        one == other
+    }
+
+    /// Whether two clips are of one performer, if both are known.
+    pub(super) fn have_one_performer(&self, clips: [&MotionId; 2]) -> bool {
+        let [one, other] = clips.map(|id| self.groups.get(id)?.performer.as_ref());
+        one.is_some() && one == other
     }
 
     /// The novelty of a question; `None` if an action is not known, or no training clip has one. A question about a

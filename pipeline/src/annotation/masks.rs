@@ -8,8 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::sides::Sides;
 use datasets_spec::table::Caption;
-use datasets_spec::{BodyPart, MASK_DEF_VERSION, Motion, Skeleton, Split};
+use datasets_spec::{BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Skeleton, Split};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation;
 use rayon::prelude::*;
@@ -18,11 +19,36 @@ use serde::{Deserialize, Serialize};
 use compose::{Error, described, instruction, motion_on};
 
 /// Column `author` of these masks; the number is the version of the rules.
-pub const AUTHOR: &str = "stance-activity-1";
+pub const AUTHOR: &str = "stance-activity-2";
+/// Prefix of [`AUTHOR`] in every version of the rules.
+const AUTHOR_OF_RULES: &str = "stance-activity-";
 /// Origin of a text that the source gives for the part.
 pub const IMPORTED: &str = "imported";
-/// Origin of a text made from a caption of the whole clip.
+/// Origin of a text made from a caption or a label.
 pub const AUTOMATIC: &str = "automatic";
+
+/// Whether a mask was derived by this or an older version of the rules. People may have changed it since.
+pub(crate) fn is_derived(row: &MaskRow) -> bool {
+    row.author.starts_with(AUTHOR_OF_RULES)
+}
+
+/// Clips for which a mask was left out, because no caption fits it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// All captions hold for less than a window, and there is no action label.
+    pub short_captions: Vec<MotionId>,
+    /// One arm is active, and the caption names the other side alone.
+    pub other_side: Vec<MotionId>,
+}
+
+impl LeftOut {
+    /// Those of some clips.
+    pub(crate) fn of(mut self, is_asked: impl Fn(&MotionId) -> bool) -> Self {
+        self.short_captions.retain(&is_asked);
+        self.other_side.retain(&is_asked);
+        self
+    }
+}
 
 /// Thresholds for an active part. The defaults are choices of this project; the paper's masks are made by
 /// people.
@@ -113,8 +139,9 @@ const CHEST: usize = 9;
 ///
 /// * A part that the source describes has a mask with that description, even if it is at rest.
 /// * An active torso makes `UPPER_BODY`; otherwise two active arms make `BOTH_ARMS` and one makes
-///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text comes from the captions of the
-///   whole clip; without one, there is no mask.
+///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text comes from a caption of the whole clip, else
+///   from one of a part of it, at least as long as a window, and the mask holds for its frames; else from the action
+///   label. Without a text there is no mask, and none of an arm if the text names the other side alone.
 ///
 /// The reference of each part comes from clips of the training split only.
 ///
@@ -125,7 +152,7 @@ pub fn automatic_masks(
     skeleton: &Skeleton,
     config: &MaskConfig,
 ) -> Result<Vec<MaskRow>, Error> {
-    masks_from(motions, &activities(motions, skeleton, config)?, config)
+    Ok(masks_from(motions, &activities(motions, skeleton, config)?, config)?.0)
 }
 
 /// How much each region of the body moves in a clip, in m/s.
@@ -144,12 +171,12 @@ pub(crate) fn activities(
     motions.par_iter().map(of).collect()
 }
 
-/// [`automatic_masks`] of clips whose activities are known; their frames are not read.
+/// [`automatic_masks`] of clips whose activities are known, and where one is left out; their frames are not read.
 pub(crate) fn masks_from(
     motions: &[MotionRow],
     activities: &[Activity],
     config: &MaskConfig,
-) -> Result<Vec<MaskRow>, Error> {
+) -> Result<(Vec<MaskRow>, LeftOut), Error> {
     let train: Vec<Activity> = motions
         .iter()
         .zip(activities)
@@ -165,7 +192,7 @@ pub(crate) fn masks_from(
         let mut all: Vec<f64> = train.iter().map(|activity| activity[region]).collect();
         quantile(&mut all, config.clip_quantile).unwrap_or(0.0)
     });
-    let mut masks = Vec::new();
+    let (mut masks, mut left_out) = (Vec::new(), LeftOut::default());
     for (row, activity) in motions.iter().zip(activities) {
         let active: BTreeSet<Region> = Region::ALL
             .into_iter()
@@ -175,9 +202,9 @@ pub(crate) fn masks_from(
                     && speed >= config.threshold * reference[region as usize]
             })
             .collect();
-        masks.extend(masks_of(row, &active)?);
+        masks.extend(masks_of(row, &active, &mut left_out)?);
     }
-    Ok(masks)
+    Ok((masks, left_out))
 }
 
 /// Activity of each region: the quantile `frame_quantile` over the frames of its mean joint speed in m/s.
@@ -236,8 +263,39 @@ fn parts_of(active: &BTreeSet<Region>) -> Vec<BodyPart> {
     parts
 }
 
-fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, Error> {
-    let mut texts: BTreeMap<BodyPart, (String, &str)> = BTreeMap::new();
+/// Columns `start` and `end` of a mask of the whole clip.
+const WHOLE: [Option<i32>; 2] = [None; 2];
+
+/// Columns `start` and `end` of a mask for a caption; `None` if it holds for less than a window.
+fn frames_of(caption: &Caption, row: &MotionRow, fps: Fps) -> Option<[Option<i32>; 2]> {
+    let [from, to] = [caption.from_s, caption.to_s].map(f64::from);
+    if from == 0.0 && to == 0.0 {
+        return Some(WHOLE);
+    }
+    let frame = |seconds: f64| ((seconds * fps.get()).round() as i32).clamp(0, row.n_frames);
+    let (start, end) = (frame(from), frame(to));
+    match (start, end) == (0, row.n_frames) {
+        true => Some(WHOLE),
+        false => (end - start >= MaskRow::shortest(fps)).then_some([Some(start), Some(end)]),
+    }
+}
+
+/// Whether the mask is of one arm and the text names the other side alone.
+fn is_of_other_side(part: BodyPart, text: &str) -> bool {
+    let Sides { left, right, .. } = Sides::of([text]);
+    match part {
+        BodyPart::LeftArm => right && !left,
+        BodyPart::RightArm => left && !right,
+        _ => false,
+    }
+}
+
+fn masks_of(
+    row: &MotionRow,
+    active: &BTreeSet<Region>,
+    left_out: &mut LeftOut,
+) -> Result<Vec<MaskRow>, Error> {
+    let mut texts: BTreeMap<BodyPart, (String, &str, [Option<i32>; 2])> = BTreeMap::new();
     for described in &row.part_captions {
         let unknown = |problem: datasets_spec::Error| {
             Error::Refused(format!(
@@ -251,28 +309,45 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
             // The first of several descriptions of a part is used, as with captions.
             texts
                 .entry(part)
-                .or_insert_with(|| (instruction(action, part), IMPORTED));
+                .or_insert_with(|| (instruction(action, part), IMPORTED, WHOLE));
         }
     }
-    let stated: Vec<Caption> = row.stated_captions().cloned().collect();
-    if let Some(shown) = described(&stated, row.action.as_deref()) {
-        for part in parts_of(active) {
-            texts
-                .entry(part)
-                .or_insert_with(|| (shown.instruction(part), AUTOMATIC));
+    let fps = Fps::new(f64::from(row.fps)).map_err(datasets_spec::Error::from)?;
+    let frames = |caption: &Caption| frames_of(caption, row, fps);
+    let stated: Vec<&Caption> = row.stated_captions().collect();
+    let usable = stated
+        .iter()
+        .copied()
+        .filter(|&caption| frames(caption).is_some());
+    let usable: Vec<&Caption> = usable.collect();
+    match described(&usable, row.action.as_deref()) {
+        Some((shown, caption)) => {
+            let range = caption.and_then(frames).unwrap_or(WHOLE);
+            for part in parts_of(active) {
+                if texts.contains_key(&part) {
+                    continue;
+                }
+                if is_of_other_side(part, shown.text()) {
+                    left_out.other_side.push(row.id.clone());
+                    continue;
+                }
+                texts.insert(part, (shown.instruction(part), AUTOMATIC, range));
+            }
         }
+        None if usable.len() < stated.len() => left_out.short_captions.push(row.id.clone()),
+        None => {}
     }
     Ok(texts
         .into_iter()
-        .map(|(part, (text, origin))| MaskRow {
+        .map(|(part, (text, origin, [start, end]))| MaskRow {
             id: format!("{}#{part}", row.id),
             motion_id: row.id.clone(),
             split: row.split,
             parts: vec![part.name().to_owned()],
             hard_joints: part.mask().hard().names(),
             soft_joints: part.mask().soft().names(),
-            start: None,
-            end: None,
+            start,
+            end,
             mask_def_version: MASK_DEF_VERSION,
             text,
             text_origin: origin.to_owned(),
@@ -400,6 +475,76 @@ mod tests {
         assert_eq!(without, ["UPPER_BODY", "LOWER_BODY"]);
         let refused = masks_of(&[frantic]).expect_err("no reference").to_string();
         assert!(refused.contains("no motion of split train"), "{refused}");
+    }
+
+    /// The masks of a clip of 60 frames in which some joints swing, and how often one was left out for each reason.
+    fn captioned(
+        joints: &[usize],
+        action: Option<&str>,
+        captions: &[(&str, [f32; 2])],
+    ) -> (Vec<MaskRow>, [usize; 2]) {
+        let mut row = swinging("clip", Split::Test, joints);
+        row.action = action.map(str::to_owned);
+        let caption = |(text, [from_s, to_s]): &(&str, [f32; 2])| Caption {
+            text: (*text).to_owned(),
+            from_s: *from_s,
+            to_s: *to_s,
+            ..Caption::default()
+        };
+        row.captions = captions.iter().map(caption).collect();
+        let rows = [swinging("lively", Split::Train, &WHOLE_BODY), row];
+        let (skeleton, config) = (Skeleton::smplx_neutral(), MaskConfig::default());
+        let activities = activities(&rows, &skeleton, &config).expect("valid rows");
+        let (mut masks, left_out) = masks_from(&rows, &activities, &config).expect("valid rows");
+        masks.retain(|mask| mask.motion_id.as_str() == "clip");
+        let counts = [left_out.short_captions.len(), left_out.other_side.len()];
+        (masks, counts)
+    }
+
+    #[test]
+    fn a_mask_holds_as_long_as_its_caption() {
+        let wave = "a person waves";
+        let ranges = |action, captions: &[(&str, [f32; 2])]| {
+            let (masks, counts) = captioned(&[1, 2], action, captions);
+            let ranges: Vec<_> = masks.iter().map(|mask| (mask.start, mask.end)).collect();
+            (ranges, counts)
+        };
+        let whole = (None, None);
+        assert_eq!(ranges(None, &[(wave, [0.0; 2])]), (vec![whole], [0, 0]));
+        // 60 frames of 20 fps take 3 s, and a window spans 31 of them.
+        assert_eq!(ranges(None, &[(wave, [0.0, 3.0])]), (vec![whole], [0, 0]));
+        let second = (Some(20), Some(55));
+        assert_eq!(ranges(None, &[(wave, [1.0, 2.75])]), (vec![second], [0, 0]));
+        assert_eq!(ranges(None, &[(wave, [0.5, 1.0])]), (vec![], [1, 0]));
+        let short = (wave, [0.5, 1.0]);
+        assert_eq!(
+            ranges(None, &[short, (wave, [1.0, 2.75])]),
+            (vec![second], [0, 0])
+        );
+        assert_eq!(ranges(Some("wave"), &[short]), (vec![whole], [0, 0]));
+    }
+
+    #[test]
+    fn an_arm_has_no_text_about_the_other_one() {
+        let (left, right) = (&[16][..], &[17][..]);
+        let says = |text: &'static str| [(text, [0.0; 2])];
+        for (joints, text, num_masks) in [
+            (left, "a person holds a phone to the right ear", 0),
+            (left, "a person waves with the left hand", 1),
+            (
+                left,
+                "a person passes a ball from the left to the right hand",
+                1,
+            ),
+            (left, "a person waves", 1),
+            (right, "a person waves with the left hand", 0),
+            (&[16, 17], "a person waves with the left hand", 1),
+            (&[1, 2], "a person kicks with the left leg", 1),
+        ] {
+            let (masks, counts) = captioned(joints, None, &says(text));
+            assert_eq!(masks.len(), num_masks, "{text}");
+            assert_eq!(counts, [0, 1 - num_masks], "{text}");
+        }
     }
 
     #[test]

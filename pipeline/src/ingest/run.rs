@@ -33,7 +33,7 @@ use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::clip_table::{ClipRow, is_composed};
 use crate::facts::json;
-use crate::versions::is_mask_of_people;
+use crate::versions::{is_mask_of_people, is_mask_of_source};
 use work::{self, Failed, Made, Piece};
 
 struct Run<'a> {
@@ -210,7 +210,8 @@ impl Run<'_> {
         let mut growth = self.fates.report(plan, &tally.ingested);
         growth.count(&labels);
         let alike = tally.alike.report(&tally.splits(plan));
-        let masks = self.masks(labels.masks, &tally)?;
+        let masks;
+        (masks, growth.gave_way) = self.masks(labels.masks, &tally)?;
         let pairs = self.pairs(labels.pairs, &tally)?;
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
@@ -418,18 +419,35 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The masks that stay and those that came with clips of this run, without those that people rejected.
-    fn masks(&self, staying: Vec<MaskRow>, tally: &Tally) -> Result<Vec<MaskRow>, Error> {
+    /// The masks that stay and those that came with clips of this run, without those that people rejected. Of a clip that
+    /// people described, the masks of its source come back only for the parts for which the dataset still has one; the
+    /// number of the others is returned too.
+    fn masks(&self, staying: Vec<MaskRow>, tally: &Tally) -> Result<(Vec<MaskRow>, u64), Error> {
+        let mut gave_way = 0;
         let mut masks = tally.masks(staying);
         if self.transaction.base().is_some() {
             let before = Dataset::open_unverified(self.transaction.root())?;
+            let rows: Vec<MaskRow> = before.read(None)?;
+            let (of_sources, others): (Vec<&MaskRow>, Vec<&MaskRow>) =
+                rows.iter().partition(|mask| is_mask_of_source(mask));
+            let place = |mask: &MaskRow| (mask.motion_id.clone(), mask.parts.clone());
+            let standing: BTreeSet<_> = of_sources.into_iter().map(place).collect();
+            let of_people = others.into_iter().filter(|mask| is_mask_of_people(mask));
+            let described: BTreeSet<&MotionId> = of_people.map(|mask| &mask.motion_id).collect();
+            let num_before = masks.len();
+            masks.retain(|mask| {
+                let is_same_motion = self.fates.is_read_again(&mask.motion_id).is_ok();
+                let is_described = is_same_motion && described.contains(&mask.motion_id);
+                !is_described || !is_mask_of_source(mask) || standing.contains(&place(mask))
+            });
+            gave_way = (num_before - masks.len()) as u64;
             let rejections = before.rejections(&before.manifest().rejected_masks()?)?;
             masks.retain(|mask| {
                 let is_same_motion = self.fates.is_read_again(&mask.motion_id).is_ok();
                 is_mask_of_people(mask) || !is_same_motion || !rejections.has(mask)
             });
         }
-        Ok(masks)
+        Ok((masks, gave_way))
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.

@@ -11,7 +11,7 @@ use formats::source::format_named;
 use serde::Serialize;
 
 use crate::Error;
-use crate::annotation::masks::AUTHOR;
+use crate::annotation::masks::is_derived;
 use crate::annotation::pairs::{LISTED, is_from_labels};
 use crate::ingest::LostLabel;
 
@@ -83,7 +83,7 @@ pub(crate) fn is_mask_of_source(mask: &MaskRow) -> bool {
 
 /// Whether a person made or judged a mask. A stage cannot derive such a mask again, and no source holds it.
 pub(crate) fn is_mask_of_people(mask: &MaskRow) -> bool {
-    let derived = mask.text_origin != "human" && mask.author == AUTHOR;
+    let derived = mask.text_origin != "human" && is_derived(mask);
     !is_mask_of_source(mask) && !derived && mask.text_origin != "automatic"
 }
 

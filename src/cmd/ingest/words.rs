@@ -192,6 +192,12 @@ fn grown(growth: &Growth) -> String {
     for (table, count) in &growth.labels {
         text += &format!("{count} {table} stay\n");
     }
+    if growth.gave_way > 0 {
+        text += &format!(
+            "{} masks of sources do not come back, because people described their clips without them\n",
+            growth.gave_way
+        );
+    }
     text += &removed(&growth.removed);
     for lost in &growth.lost {
         text += &format!("lost: {} of {} ({})\n", lost.id, lost.table, lost.reason);

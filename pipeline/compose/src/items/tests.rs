@@ -1,4 +1,6 @@
-use datasets_spec::{BodyPart, JointSet, Split};
+use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::table::Caption;
+use datasets_spec::{BodyPart, Joint, JointSet, Split};
 
 use super::*;
 use crate::fixture;
@@ -220,6 +222,67 @@ fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
             assert_eq!(equal(&target), outside, "joint {joint}");
         }
     }
+}
+
+/// Other takes of the item of the only mask, drawn with 24 seeds.
+fn other_takes(motions: &[MotionRow], masks: &[MaskRow]) -> Vec<Option<Motion>> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dataset = fixture::commit(folder.path(), motions, |row| row.split, "motions");
+    let shown = Shown::read(&dataset).expect("labels");
+    let library = Arc::new(fixture::library_of(Split::Test, motions, masks, &[]));
+    let config = ItemConfig {
+        count: ItemCount::All,
+        ..ItemConfig::default()
+    };
+    let drawn = |seed: u64| {
+        let drawn = draw_items(&library, &config, &shown, Seed(seed)).expect("enough clips");
+        let rows = drawn.rows(0..1).expect("read");
+        rows[0].other_take().expect("valid")
+    };
+    (0..24).map(drawn).collect()
+}
+
+#[test]
+fn other_takes_are_of_the_named_side_and_of_the_performer_if_there_are_such() {
+    let (mut motions, mut masks) = fixture::rows(Split::Test, CLIPS);
+    masks.retain(|mask| mask.motion_id.as_str() == "clip0");
+    let elbow = Joint::LeftElbow;
+    assert!(masks[0].hard_joints.contains(&elbow.name().to_owned()));
+    // These clips wave.
+    for (number, side, subject) in [
+        (0, "left", "ann"),
+        (2, "right", "ann"),
+        (4, "left", "bob"),
+        (6, "left", "ann"),
+        (8, "left", "bob"),
+    ] {
+        motions[number].subject = Some(subject.to_owned());
+        motions[number].captions = vec![Caption {
+            text: format!("a person waves with the {side} hand"),
+            ..Caption::default()
+        }];
+    }
+    let is_cut_from = |other: &Motion, clip: &MotionRow| {
+        let clip = clip.motion().expect("valid");
+        let at = |motion: &Motion, frame: usize| motion.axis_angle(frame, elbow.index());
+        (0..=clip.len() - other.len())
+            .any(|start| (0..other.len()).all(|frame| at(other, frame) == at(&clip, start + frame)))
+    };
+    let taken_from = |motions: &[MotionRow]| -> Vec<usize> {
+        let others = other_takes(motions, &masks);
+        let is_taken = |number: &usize| {
+            let mut others = others.iter().flatten();
+            others.any(|other| is_cut_from(other, &motions[*number]))
+        };
+        [2, 4, 6, 8].into_iter().filter(is_taken).collect()
+    };
+    assert_eq!(taken_from(&motions), [6]);
+    motions[6].subject = None;
+    assert_eq!(taken_from(&motions), [4, 6, 8]);
+    for number in [4, 6, 8] {
+        motions[number].captions[0].text = "a person waves and turns clockwise".to_owned();
+    }
+    assert!(other_takes(&motions, &masks).iter().all(Option::is_none));
 }
 
 #[test]

@@ -179,10 +179,11 @@ impl FolderLabels {
             }
             CSV => csv_file::parse(&bytes),
             name => {
-                let tags = license_text::stated_in(name, &String::from_utf8_lossy(&bytes));
+                let text = String::from_utf8_lossy(&bytes);
+                let tags = license_text::stated_in(name, &text);
                 if !tags.is_empty() {
                     found.license.files.push(relative.to_owned());
-                } else if !license_text::is_readme(name) {
+                } else if !license_text::is_readme(name) || license_text::is_licensed_card(&text) {
                     found.license.unknown.push(relative.to_owned());
                 }
                 found.license.tags.extend(tags);

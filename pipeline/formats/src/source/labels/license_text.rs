@@ -32,7 +32,8 @@ pub(super) fn stated_in(name: &str, text: &str) -> BTreeSet<String> {
         true => about_licenses(text),
         false => text.to_owned(),
     };
-    let tags = spdx_tags(&stated);
+    let mut tags = spdx_tags(&stated);
+    tags.extend(card_tags(text));
     match tags.is_empty() {
         true => recognised(&words_of(&stated)),
         false => tags,
@@ -58,7 +59,7 @@ fn about_licenses(text: &str) -> String {
     kept
 }
 
-/// Tags after `SPDX-License-Identifier:`, and of the field `license` of a dataset card.
+/// Tags after `SPDX-License-Identifier:`.
 fn spdx_tags(text: &str) -> BTreeSet<String> {
     let mut tags = BTreeSet::new();
     for line in text.lines() {
@@ -68,9 +69,35 @@ fn spdx_tags(text: &str) -> BTreeSet<String> {
             if !tag.is_empty() {
                 tags.insert(tag.to_owned());
             }
-        } else if let Some(tag) = line.strip_prefix("license:") {
-            let tag = tag.trim().trim_matches(['"', '\'']);
-            tags.extend(card_tag(tag));
+        }
+    }
+    tags
+}
+
+/// Whether a readme is a dataset card that names a licence.
+pub(super) fn is_licensed_card(text: &str) -> bool {
+    text.starts_with("---") && text.lines().any(|line| line.starts_with("license:"))
+}
+
+/// Tags of the field `license`, one or a list, of a dataset card of Hugging Face. Cards may hold tags that no SPDX
+/// identifier is known for here; these stay as they are.
+fn card_tags(text: &str) -> BTreeSet<String> {
+    let is_card = is_licensed_card(text);
+    let mut tags = BTreeSet::new();
+    let mut lines = text.lines().peekable();
+    while let Some(line) = lines.next() {
+        let Some(one) = line.strip_prefix("license:") else {
+            continue;
+        };
+        let mut stated = vec![one];
+        while let Some(item) = lines.next_if(|line| line.trim_start().starts_with("- ")) {
+            stated.push(item.trim_start().trim_start_matches("- "));
+        }
+        let stated = stated.iter().flat_map(|tags| tags.split([',', '[', ']']));
+        let named = stated.map(|tag| tag.trim().trim_matches(['"', '\'']));
+        for tag in named.filter(|tag| !tag.is_empty()) {
+            let is_tag = is_card && !tag.contains(' ') && !["other", "unknown"].contains(&tag);
+            tags.extend(card_tag(tag).or_else(|| is_tag.then(|| tag.to_owned())));
         }
     }
     tags
@@ -220,6 +247,18 @@ mod tests {
         assert_eq!(tags("readme", both), ["CC-BY-NC-ND-4.0", "MIT"]);
         let card = "---\nlicense: cc-by-sa-4.0\n---\n# Motions\n";
         assert_eq!(tags("README.md", card), ["CC-BY-SA-4.0"]);
+        for list in [
+            "\n- cc-by-nc-4.0\n- mit",
+            " [cc-by-nc-4.0, 'mit']",
+            "\n  - mit\n  - \"cc-by-nc-4.0\"",
+        ] {
+            let card = format!("---\nlicense:{list}\ntags:\n- motion\n---\n# Motions\n");
+            assert_eq!(tags("README.md", &card), ["CC-BY-NC-4.0", "MIT"], "{list}");
+        }
+        let others = "---\nlicense:\n- gpl-3.0\n- other\n---\n# Motions\n";
+        assert_eq!(tags("README.md", others), ["gpl-3.0"]);
+        let unknown = others.replace("- gpl-3.0\n", "");
+        assert!(tags("README.md", &unknown).is_empty() && is_licensed_card(&unknown));
         let named =
             "Licensed under Creative Commons Attribution-NonCommercial.\nLicense: CC BY-NC 4.0";
         assert_eq!(tags("README.md", named), ["CC-BY-NC-4.0"]);

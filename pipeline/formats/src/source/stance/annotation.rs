@@ -70,8 +70,9 @@ impl Annotation {
         let masks = annotation.masks_of(masks);
         let mut said = vec![false; masks.len()];
         for (parts, text) in annotation.texts_of(texts, &masks) {
-            if let Some(mask) = masks.iter().position(|mask| *mask == parts) {
-                said[mask] = true;
+            // One part may be listed once for each of its texts.
+            for (mask, said) in masks.iter().zip(&mut said) {
+                *said |= *mask == parts;
             }
             let made = None;
             annotation.masks.push(SourceMask { parts, text, made });
@@ -230,6 +231,14 @@ mod tests {
         }
         let found = annotated(json!("LEFT_ARM"), json!(["waving", "greeting"]));
         let expected = [("LEFT_ARM", "waving"), ("LEFT_ARM", "greeting")];
+        assert_eq!(found, pairs(&expected));
+        let twice = json!(["LEFT_ARM", "LOWER_BODY", "LEFT_ARM"]);
+        let found = annotated(twice, json!(["waving", "kneeling", "greeting"]));
+        let expected = [
+            ("LEFT_ARM", "waving"),
+            ("LOWER_BODY", "kneeling"),
+            ("LEFT_ARM", "greeting"),
+        ];
         assert_eq!(found, pairs(&expected));
         let masks = json!([["LEFT_ARM", "HEAD"], "RIGHT_ARM"]);
         let found = annotated(masks, json!(["nodding", ""]));
