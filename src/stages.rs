@@ -44,11 +44,11 @@ pub(crate) fn dataset(
     let options = config.options(seed).context("stage ingest")?;
     let done = ingest(sources, root, &options, &global.holder(), &global.bars())
         .context("stage ingest")?;
-    let is_partial = done.accounting.quarantined > 0 || !done.refused_pairs.is_empty();
+    let is_partial = done.accounting.quarantined > 0 || !done.notes.all_lines_were_used();
     if is_partial && !global.json {
         report::note(&summary(&done));
     } else {
-        for remark in &done.remarks {
+        for remark in &done.notes.remarks {
             report::note(&format!("note: {remark}"));
         }
     }

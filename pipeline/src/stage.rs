@@ -367,18 +367,10 @@ pub fn listed_pairs(
     let motions: BTreeMap<MotionId, Split> = clips.map(|clip| (clip.id, clip.split)).collect();
     let mut before: Vec<PairRow> = dataset.read(None)?;
     before.sort_by(|a, b| a.id.cmp(&b.id));
-    let (listed, known): (Vec<PairRow>, Vec<PairRow>) = before
-        .iter()
-        .cloned()
-        .partition(|row| row.source == pairs::LISTED);
     let rejected = dataset.manifest().rejected_pairs()?.into_values().flatten();
-    let made = list.pairs(&motions, &known, &rejected.collect());
-    let mut rows: BTreeMap<String, PairRow> = listed
-        .into_iter()
-        .chain(known)
-        .map(|row| (row.id.clone(), row))
-        .collect();
-    rows.extend(made.rows.into_iter().map(|row| (row.id.clone(), row)));
+    let made = list.pairs(&motions, &before, &rejected.collect());
+    let rows = before.iter().cloned().chain(made.rows);
+    let rows: BTreeMap<String, PairRow> = rows.map(|row| (row.id.clone(), row)).collect();
     let rows: Vec<PairRow> = rows.into_values().collect();
     if rows == before {
         return Ok((dataset, made.refused));

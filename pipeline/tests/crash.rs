@@ -367,7 +367,7 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     };
     let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
     let clean = grow(store, &dir.path().join("clean")).expect("a healthy disk");
-    let growth = clean.growth.expect("it grew");
+    let growth = clean.notes.growth.expect("it grew");
     let counts = (growth.new, growth.missing.len(), growth.read_again.len());
     assert_eq!(counts, (1, 1, 1));
     let (clean, before) = (hash(&clean.dataset), hash(&before.dataset));

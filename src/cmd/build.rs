@@ -120,7 +120,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         "root_hash": manifest.root_hash,
     });
     global.say(&document, &lines.join("\n"))?;
-    Ok(Exit::quarantined_if(accounting.quarantined > 0))
+    let is_whole = ingested.notes.all_lines_were_used();
+    Ok(Exit::quarantined_if(
+        accounting.quarantined > 0 || !is_whole,
+    ))
 }
 
 /// File of a build: the root hash of the dataset that each layout was exported from.

@@ -26,7 +26,7 @@ pub(crate) struct Args {
     /// Folder for everything the demo makes
     #[arg(long, default_value = "stance-demo", value_parser = crate::local::path())]
     out: PathBuf,
-    /// Fewer clips and far fewer training steps: shows that the chain works, not how well
+    /// Fewer clips and far fewer training steps: shows that the chain works, not how well, with all rows of --full
     #[arg(long)]
     quick: bool,
     /// Train the rows to compare with, too: pairs composed once, and captured pairs alone; and score on all 300 items of

@@ -29,7 +29,7 @@ use crate::failure::Failure;
 use crate::global::{Global, Names, one_of};
 use crate::{local, report};
 
-pub(crate) use self::words::summary;
+pub(crate) use self::words::{noted, summary};
 
 /// Turn motion files into one checked dataset, with the options of `stance ingest`.
 #[derive(clap::Args, Debug)]
@@ -348,6 +348,5 @@ fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
         Some(Allowance::Files(files)) => quarantined <= files,
         Some(Allowance::Percent(percent)) => quarantined as f64 <= percent / 100.0 * sources as f64,
     };
-    let is_whole = done.refused_pairs.is_empty() && done.refused_splits.is_empty();
-    Exit::quarantined_if(!allowed || !is_whole)
+    Exit::quarantined_if(!allowed || !done.notes.all_lines_were_used())
 }

@@ -10,6 +10,7 @@ use anyhow::{Context, bail};
 use datasets_spec::Progress as _;
 use datasets_spec::store::temporary_beside;
 use pipeline::export::Exported;
+use pipeline::ingest::IngestNotes;
 use serde::Deserialize;
 use serde_json::json;
 use train::sample::EditTimes;
@@ -438,13 +439,16 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
             text += &format!("{line}\n");
         }
     }
+    let notes = IngestNotes::deserialize(&done.notes).ok();
+    text += &notes.as_ref().map_or_else(String::new, cmd::ingest::noted);
     text += &format!(
         "{} with root hash {}\n",
         done.destination.display(),
         done.root_hash
     );
     global.say(&done, &text)?;
-    let is_lost = quarantined + done.failed > 0;
+    let is_whole = notes.is_none_or(|notes| notes.all_lines_were_used());
+    let is_lost = quarantined + done.failed > 0 || !is_whole;
     Ok(Exit::quarantined_if(is_lost && !done.already_committed))
 }
 

@@ -304,6 +304,37 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
         assert!(count >= 5, "{count} items of {task}");
     }
     folder.run("verify @dataset");
+    // The command that made the dataset makes it grow, and a line may change its own pair.
+    let motion = files_with_extension(&folder.path("corpus"), "bvh").remove(0);
+    fs::copy(motion, folder.path("corpus/another.bvh")).expect("copied");
+    let lines = folder.text("corpus/pairs.csv");
+    let (before, now) = ("Bend the knees more.", "Sink into the knees.");
+    let num_changed = lines.matches(before).count();
+    folder.put("corpus/pairs.csv", lines.replace(before, now));
+    folder.run("ingest @corpus --out @dataset --pairs @corpus/pairs.csv");
+    let rows: Vec<PairRow> = folder.rows("dataset");
+    let is_changed = |row: &&PairRow| row.instruction == now;
+    assert_eq!(rows.iter().filter(is_changed).count(), num_changed);
+    assert!(num_changed > 0 && rows.len() == 52 + 130);
+}
+
+#[test]
+fn a_commit_of_a_plan_says_what_an_ingestion_says() {
+    let folder = Folder::of_clips(6);
+    folder.put("pairs.csv", "nobody,nothing,old\n");
+    let ingestion = "ingest @corpus --pairs @pairs.csv";
+    let direct = folder.typed(&format!("--json {ingestion} --out @direct"));
+    let direct: Value = direct.expect_code(3).json();
+    folder.run(&format!(
+        "stage plan {ingestion} --into @dataset --out @plan"
+    ));
+    folder.run("stage work @plan");
+    let done = folder.typed("--json stage commit @plan");
+    let done: Value = done.expect_code(3).json();
+    for what in ["refused_pairs", "label_problems", "licenses", "remarks"] {
+        assert_eq!(done["notes"][what], direct[what], "{what}");
+    }
+    assert_eq!(len_of(&done["notes"]["refused_pairs"]), 1, "{done}");
 }
 
 #[test]

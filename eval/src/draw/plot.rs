@@ -278,11 +278,13 @@ pub fn histogram(values: &[f64], max_bins: usize) -> Vec<(String, f64)> {
     } else {
         1.0
     };
-    let first = (low / width).floor();
-    let num_bins = ((high / width).floor() - first) as usize + 1;
+    // A value on the edge of a bin belongs above it, also if its quotient is rounded down: 5.8 / 0.1 is 57.99…
+    let bin_of = |value: f64| (value / width + 1e-9).floor();
+    let first = bin_of(low);
+    let num_bins = (bin_of(high) - first) as usize + 1;
     let mut counts = vec![0.0; num_bins];
     for value in finite {
-        let bin = ((value / width).floor() - first) as usize;
+        let bin = (bin_of(value) - first) as usize;
         counts[bin.min(num_bins - 1)] += 1.0;
     }
     let label = |bin: usize| tick_text((first + bin as f64) * width, width);

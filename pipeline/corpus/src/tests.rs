@@ -365,7 +365,7 @@ fn the_list_names_clips_by_their_ids_and_no_line_is_refused() {
     };
     let config = config.options(Seed(0)).expect("a list");
     let done = ingest(&[sources], &dataset, &config, "a test", &NoProgress).expect("ingested");
-    assert_eq!(done.refused_pairs, []);
+    assert_eq!(done.notes.refused_pairs, []);
     assert_eq!(done.accounting.ingested, 18 + 6);
     let motions: Vec<MotionRow> = done.dataset.read(None).expect("rows");
     let pairs: Vec<PairRow> = done.dataset.read(None).expect("rows");

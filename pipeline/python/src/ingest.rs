@@ -120,8 +120,8 @@ fn counts(done: &IngestReport) -> serde_json::Result<String> {
         "skipped_reasons": done.skipped,
         "quarantine": done.quarantine,
         "already_complete": done.already_complete,
-        "remarks": done.remarks,
-        "licenses": done.licenses,
+        "remarks": done.notes.remarks,
+        "licenses": done.notes.licenses,
         "root_hash": done.dataset.manifest().root_hash,
     });
     serde_json::to_string(&counts)

@@ -12,7 +12,7 @@ use datasets_spec::record::{FramesRow, MotionRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{MotionId, Skeleton, Split};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::fates::Fates;
 use super::recorded::Recorded;
@@ -22,7 +22,7 @@ use crate::likeness::{Sketch, TOLERANCE_M};
 use crate::recordings::Groups;
 
 /// Motions that are equal or nearly so.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlikeClips {
     /// Ids of the clips.
     pub clips: Vec<String>,

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::MotionId;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Counts of the fates of the clips and labels that a dataset had.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Growth {
     /// Clips that the dataset did not have.
     pub new: u64,
@@ -52,7 +52,7 @@ impl LostLabel {
 }
 
 /// A mask or pair whose clip changed or was removed.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LostLabel {
     /// The table: masks or pairs.
     pub table: String,

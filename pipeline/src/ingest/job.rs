@@ -267,6 +267,10 @@ impl Job for Ingestion {
         });
         let taken = taken.collect::<Result<Vec<_>, Error>>()?;
         let report = prepared.conclude(transaction, &self.plan, Pieces::Taken(taken), progress)?;
-        Ok(plan.committed(report.dataset.manifest()))
+        let notes = serde_json::to_value(&report.notes).expect("counts and texts");
+        Ok(Committed {
+            notes,
+            ..plan.committed(report.dataset.manifest())
+        })
     }
 }

@@ -60,7 +60,7 @@ pub(crate) use self::list::{
 };
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub(crate) use self::recorded::{MergedSources, recorded_settings};
-pub use self::report::IngestReport;
+pub use self::report::{IngestNotes, IngestReport};
 pub(crate) use self::shard::guarded;
 pub use self::sources::SourceArg;
 pub use self::split_by::SplitBy;

@@ -8,7 +8,7 @@ use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::alike::{Alike, AlikeClips};
 use super::growth::Growth;
@@ -31,6 +31,24 @@ pub struct IngestReport {
     pub accounting: Accounting,
     /// Files the items came from.
     pub files: u64,
+    /// What the run has to say of labels, clips and lists.
+    #[serde(flatten)]
+    pub notes: IngestNotes,
+    /// The rejected sources.
+    #[serde(skip)]
+    pub quarantine: Vec<QuarantineRow>,
+    /// Skipped sources by reason.
+    #[serde(rename = "skipped_reasons")]
+    pub skipped: BTreeMap<String, u64>,
+    /// Shards taken over from an interrupted run of the same plan.
+    pub resumed_shards: usize,
+    /// Whether the dataset was already complete and nothing was done.
+    pub already_complete: bool,
+}
+
+/// What an ingestion has to say beside its counts of sources.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct IngestNotes {
     /// Pairs that were dropped because one of their motions is not in the dataset.
     pub dropped_pairs: u64,
     /// Lines of the list of pairs that gave no pair.
@@ -44,20 +62,17 @@ pub struct IngestReport {
     /// Remarks on the splits and licences. Those that concern the dataset, not only this run, are recorded as
     /// [`REMARKS_FACT`](super::options::REMARKS_FACT).
     pub remarks: Vec<String>,
-    /// The rejected sources.
-    #[serde(skip)]
-    pub quarantine: Vec<QuarantineRow>,
-    /// Skipped sources by reason.
-    #[serde(rename = "skipped_reasons")]
-    pub skipped: BTreeMap<String, u64>,
-    /// Shards taken over from an interrupted run of the same plan.
-    pub resumed_shards: usize,
-    /// Whether the dataset was already complete and nothing was done.
-    pub already_complete: bool,
     /// Motions of this run that are nearly equal to others, and equal ones in several splits.
     pub alike: Vec<AlikeClips>,
     /// Counts of the fates of existing clips and labels; `None` for a new dataset.
     pub growth: Option<Growth>,
+}
+
+impl IngestNotes {
+    /// Whether every line of the lists of pairs and splits was used.
+    pub fn all_lines_were_used(&self) -> bool {
+        self.refused_pairs.is_empty() && self.refused_splits.is_empty()
+    }
 }
 
 /// The report on a dataset and its rejected sources. What only a run knows, such as its growth, is left empty.
@@ -69,21 +84,23 @@ pub(super) fn report_on(
 ) -> Result<IngestReport, Error> {
     let facts = &dataset.manifest().facts;
     let dropped = facts.get("dropped_pairs");
-    Ok(IngestReport {
+    let notes = IngestNotes {
         refused_pairs: dataset.manifest().fact(REFUSED_PAIRS_FACT)?,
         remarks: plan.all_remarks(),
         refused_splits: plan.notes.refused_splits.clone(),
         label_problems: dataset.manifest().fact(LABEL_PROBLEMS_FACT)?,
         licenses: license::licenses(dataset.manifest()),
+        dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
+        ..IngestNotes::default()
+    };
+    Ok(IngestReport {
+        notes,
         accounting: dataset.manifest().accounting.clone(),
         files: plan.files.len() as u64,
-        dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
         quarantine,
         skipped: counted(skipped),
         resumed_shards: 0,
         already_complete: false,
-        alike: Vec::new(),
-        growth: None,
         dataset,
     })
 }
@@ -208,7 +225,11 @@ impl Tally {
         let mut taken: BTreeMap<String, MotionId> = taken
             .map(|(id, motion)| (id.clone(), motion.clone()))
             .collect();
-        for (number, mask) in self.masks.iter().enumerate() {
+        let mut numbers: BTreeMap<&MotionId, usize> = BTreeMap::new();
+        for mask in &self.masks {
+            let next = numbers.entry(&mask.motion_id).or_default();
+            let number = *next;
+            *next += 1;
             let own = (!mask.id.is_empty()).then(|| mask.id.clone());
             if own.as_ref().and_then(|id| taken.get(id)) == Some(&mask.motion_id) {
                 continue;

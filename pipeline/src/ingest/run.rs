@@ -140,11 +140,10 @@ impl Prepared {
             let dataset = Dataset::open(&out)?;
             let quarantine = dataset.read(None)?;
             let skipped: Vec<SkippedRow> = dataset.read(None)?;
-            IngestReport {
-                growth: Some(growth),
-                already_complete: true,
-                ..report_on(dataset, plan, quarantine, &skipped)?
-            }
+            let mut report = report_on(dataset, plan, quarantine, &skipped)?;
+            report.already_complete = true;
+            report.notes.growth = Some(growth);
+            report
         } else {
             let version = transaction.base().map_or(0, |base| base.version);
             let plan_hash = plan.hash(&self.settings, &self.options, version);
@@ -158,11 +157,10 @@ impl Prepared {
             };
             run.finish(outside, is_same, pieces, progress)?
         };
-        let warning = license::warning(&report.licenses);
-        report.remarks.extend(plan.notes.choice.iter().cloned());
-        report
-            .remarks
-            .extend(self.kept.iter().cloned().chain(warning));
+        let warning = license::warning(&report.notes.licenses);
+        let remarks = &mut report.notes.remarks;
+        remarks.extend(plan.notes.choice.iter().cloned());
+        remarks.extend(self.kept.iter().cloned().chain(warning));
         Ok(report)
     }
 }
@@ -218,12 +216,10 @@ impl Run<'_> {
         if !is_same || !self.fates.nothing_changed() {
             growth.dropped_tables = std::mem::take(&mut carried).into_iter().collect();
         }
-        let report = self.commit(tables, carried, accounting, tally, pairs)?;
-        Ok(IngestReport {
-            alike,
-            growth: (!prepared.is_new).then_some(growth),
-            ..report
-        })
+        let mut report = self.commit(tables, carried, accounting, tally, pairs)?;
+        report.notes.alike = alike;
+        report.notes.growth = (!prepared.is_new).then_some(growth);
+        Ok(report)
     }
 
     /// Reads the shards, or takes those that were made.

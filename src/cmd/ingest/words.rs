@@ -6,7 +6,7 @@ use clip::LabelProblem;
 use datasets_spec::record::MaskRow;
 use datasets_spec::table::Row as _;
 use pipeline::annotation::pairs::RefusedLine;
-use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
+use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestNotes, IngestReport};
 
 use crate::report::{accounted, append_list};
 
@@ -80,6 +80,14 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     for (table, rows) in done.dataset.manifest().row_counts() {
         text += &format!("{table:<12} {rows:>8} rows\n");
     }
+    text += &noted(&done.notes);
+    text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
+    text
+}
+
+/// What an ingestion has to say beside its counts.
+pub(crate) fn noted(done: &IngestNotes) -> String {
+    let mut text = String::new();
     if done.dropped_pairs > 0 {
         text += &format!(
             "{} pairs were dropped, because one of their motions is not in the dataset\n",
@@ -100,7 +108,6 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     for remark in &done.remarks {
         text += &format!("note: {remark}\n");
     }
-    text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
     text
 }
 

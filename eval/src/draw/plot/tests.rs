@@ -168,6 +168,10 @@ fn a_histogram_counts_every_finite_value_once() {
     assert_eq!(counts, [1.0, 2.0, 1.0, 0.0, 1.0]);
     assert_eq!(histogram(&[5.0; 3], 10), [("5".to_owned(), 3.0)]);
     assert!(histogram(&[], 3).is_empty());
+    // 5.8 / 0.1 is less than 58.
+    let tenths: Vec<f64> = (0..=20).map(|tenth| f64::from(50 + tenth) / 10.0).collect();
+    let of_tenths = histogram(&tenths, 20);
+    assert!(of_tenths.iter().all(|(_, count)| *count == 1.0) && of_tenths.len() == 21);
     let svg = bar_chart(&chart(bins));
     check_nesting(&svg);
     assert_eq!(svg.matches("<rect").count(), 5);

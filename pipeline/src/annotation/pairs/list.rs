@@ -135,18 +135,21 @@ impl PairList {
     }
 
     /// Makes the pairs whose motions are in the dataset. A motion is named by its id, with or without a file extension.
-    /// `known` holds the pairs of the dataset that do not come from a list; a line that repeats one is refused, and so is
-    /// one whose source and target people `rejected`.
+    /// `known` holds the pairs of the dataset. A line makes its own pair again, unless people have judged that pair and the
+    /// line says something else; a line that repeats another pair is refused, and so is one whose source and target people
+    /// `rejected`.
     pub fn pairs(
         &self,
         motions: &BTreeMap<MotionId, Split>,
         known: &[PairRow],
         rejected: &BTreeSet<[MotionId; 2]>,
     ) -> ListedPairs {
-        let known: BTreeMap<(&MotionId, &MotionId), &str> = known
-            .iter()
-            .map(|row| ((&row.source_id, &row.target_id), row.id.as_str()))
-            .collect();
+        let known: BTreeMap<[&MotionId; 2], Vec<&PairRow>> =
+            known.iter().fold(BTreeMap::new(), |mut known, row| {
+                let sides = [&row.source_id, &row.target_id];
+                known.entry(sides).or_insert_with(Vec::new).push(row);
+                known
+            });
         let mut made = ListedPairs {
             refused: self.refused.clone(),
             ..ListedPairs::default()
@@ -225,7 +228,7 @@ impl Line {
     fn pair(
         &self,
         motions: &BTreeMap<MotionId, Split>,
-        known: &BTreeMap<(&MotionId, &MotionId), &str>,
+        known: &BTreeMap<[&MotionId; 2], Vec<&PairRow>>,
     ) -> Result<PairRow, String> {
         let find = |name: &str| {
             names_of(name)
@@ -243,12 +246,7 @@ impl Line {
                  both one split, where no published list says otherwise"
             ));
         }
-        if let Some(pair) = known.get(&(source, target)) {
-            return Err(format!(
-                "{source} and {target} are the pair {pair:?} already"
-            ));
-        }
-        Ok(PairRow {
+        let row = PairRow {
             id: format!("{LISTED}/{source}+{target}"),
             split: *split,
             source: LISTED.to_owned(),
@@ -260,7 +258,29 @@ impl Line {
             instruction: self.instruction.clone(),
             edit_type: self.edit_type.clone(),
             accepted_by: None,
-        })
+        };
+        let known = known.get(&[source, target]).map_or(&[][..], Vec::as_slice);
+        let own = known.iter().find(|pair| pair.id == row.id);
+        let Some(pair) = own.or(known.first()) else {
+            return Ok(row);
+        };
+        let is_own = pair.id == row.id;
+        if is_own && pair.source == LISTED && pair.accepted_by.is_none() {
+            return Ok(row);
+        }
+        let again = PairRow {
+            source: pair.source.clone(),
+            accepted_by: pair.accepted_by.clone(),
+            ..row
+        };
+        if again == **pair {
+            return Ok(again);
+        }
+        let judged = if is_own { ", and people judged it" } else { "" };
+        let (source, target, id) = (&again.source_id, &again.target_id, &pair.id);
+        Err(format!(
+            "{source} and {target} are the pair {id:?} already{judged}"
+        ))
     }
 }
 
