@@ -325,8 +325,8 @@ impl Difference {
 }
 
 impl Comparison {
-    /// A comparison of two systems of a task, given by their positions. `protocol` is in words. `unranked` says why the
-    /// encoder ranks no systems of the task, if it does not; then no system is called better.
+    /// A comparison of two systems of a task, given by their positions. `protocol` is in words. `unranked` is the reason
+    /// why the encoder cannot rank systems of the task; with one, no system is called better.
     pub(crate) fn new(
         of_task: &OfTask<'_>,
         pair: [usize; 2],
@@ -358,8 +358,8 @@ impl Comparison {
     /// A sentence that names the metrics of [`CLAIMS`] by which the second system is better or worse than the first,
     /// and those that show nothing; `None` if the encoder cannot rank systems or no such metric was measured.
     ///
-    /// A claim needs two metrics, because a system can improve any one at the cost of the others. Two that contradict two
-    /// others support none.
+    /// A claim needs two metrics, because a system can improve any one at the cost of the others. If two say better and
+    /// two say worse, nothing is claimed.
     pub fn claim(&self) -> Option<String> {
         if self.unranked.is_some() {
             return None;
@@ -589,7 +589,7 @@ mod tests {
         assert_eq!(better([2.0, 1.0], [-1.5, -0.5]), Some("B"));
         assert_eq!(better([2.0, 1.0], [0.5, 1.5]), None);
         assert_eq!(better([1.0, 2.0], [-1.5, -0.5]), None);
-        // Resamples that are all too large keep their spread, and not their place.
+        // The interval has the spread of the resamples, and lies about the difference even if all of them are larger.
         assert_eq!(interval_about(-1.0, &[1.0, 3.0], 10), Some([-2.96, 0.96]));
         assert_eq!(interval_about(-1.0, &[1.0, 3.0], 9), None);
     }

@@ -237,7 +237,8 @@ impl Protocol {
         self.in_words(num_items, "", &format!("{PAIR_RESAMPLES} for FID"))
     }
 
-    /// `pairs` names the pairs of Diversity, and `of_sets` the resamples of metrics of sets.
+    /// The protocol in words. `pairs` states the number of pairs of Diversity, with a comma before it, and `of_sets` the
+    /// number of resamples of FID and Diversity.
     fn in_words(&self, num_items: usize, pairs: &str, of_sets: &str) -> String {
         let gallery = self.gallery_name(num_items);
         let fid = match self.fid_sample {

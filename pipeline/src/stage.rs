@@ -135,7 +135,8 @@ pub struct Discarded {
 
 /// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source came with masks get
 /// no automatic ones, and what people rejected is not made again, except by [`Judged::Replace`]. With a condition, the
-/// masks of other clips stay as they are. Also returns what was discarded, and if masks were derived, what was left out.
+/// masks of other clips stay as they are. Also returns the labels that were discarded, and the clips for
+/// which a mask was left out; `None` if no masks were derived.
 ///
 /// # Errors
 /// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
@@ -412,7 +413,8 @@ pub struct ItemsFolder {
     pub too_short: Option<usize>,
 }
 
-/// Whether the items of a folder have the digest that is expected of them. Of a part of those drawn it is not known.
+/// Whether the items of a folder have the expected digest. Of a folder that holds only a part of the drawn items this is
+/// not known, and the answer is no.
 fn has_digest(items: &Dataset, config: &ItemConfig) -> Result<bool, Error> {
     let Some(expected) = &config.digest else {
         return Ok(true);

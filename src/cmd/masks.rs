@@ -22,8 +22,9 @@ use crate::{local, report};
 /// Mark which body parts each clip is about, and let people correct it.
 ///
 /// Without further options, masks are derived from the motions: a part is active when its joints move fast compared
-/// with the training split. The text of a mask is a caption, and the mask holds for as long as that. With --drafts the masks are written as one JSON object per line for people to edit; with
-/// --accept the edited lines are checked and imported. An edited line without a verdict stays a draft with its edits.
+/// with the training split. Its text is the clip's caption, and the mask holds for as long as that caption; without a
+/// caption it is the action label. With --drafts the masks are written as one JSON object per line for people to edit;
+/// with --accept the edited lines are checked and imported. An edited line without a verdict stays a draft with its edits.
 ///
 /// --where marks only some clips, or writes only their drafts; the masks of other clips do not change.
 #[derive(clap::Args, Debug)]

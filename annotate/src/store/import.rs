@@ -49,8 +49,8 @@ impl Store {
         })
     }
 
-    /// Imports tasks. Tasks whose key exists stay unchanged, except that an accepted answer fills one that nobody has
-    /// worked on, and may replace a label of the dataset. An import about other motions than the known task of its key is
+    /// Imports tasks. Tasks whose key exists stay unchanged, unless nobody has worked on them: then an accepted answer
+    /// fills them, or replaces a label that was imported from the dataset. A task with a known key and other motions is
     /// left out.
     pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
         let mut done = Imported::default();

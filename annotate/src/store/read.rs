@@ -125,8 +125,8 @@ impl Store {
         self.read(|tx| accepted(tx, from, params![keys.after, keys.up_to]))
     }
 
-    /// Keys of the tasks that were reopened and are not accepted now, each with whether exports wrote its accepted answer
-    /// when entry `seq` was the last of the log.
+    /// Keys of the tasks that were reopened and are not accepted now. The value says whether an export wrote an answer to
+    /// the task if it was made when entry `seq` was the last of the log.
     pub fn reopened(&self, seq: i64) -> Result<BTreeMap<String, bool>> {
         // Only accepted and dropped tasks can be reopened.
         let decisions = "FROM event e WHERE e.task = t.id

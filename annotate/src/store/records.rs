@@ -257,8 +257,8 @@ pub struct AcceptedAnswer {
     pub merged: bool,
     /// Pseudonym of the author of an imported answer.
     pub credit: Option<String>,
-    /// How the answer was accepted: `review`, `own` or `rule:NAME`; `import` or `import.dataset` if it was imported, with a
-    /// colon and how it was accepted before, if that is known.
+    /// How the answer was accepted: `review`, `own` or `rule:NAME`. An imported answer has `import`, and a label of the
+    /// dataset `import.dataset`; if the file says how it was accepted, that follows after a colon: `import:review`.
     pub basis: String,
     /// The answer.
     pub answer: Answer,

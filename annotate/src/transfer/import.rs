@@ -117,9 +117,9 @@ pub(super) fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionReco
 /// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted
 /// answers. Clips of one action are paired as candidates.
 ///
-/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on, also in place of a
-/// label that was only imported from the dataset. A pair whose id
-/// is that of a task about other clips gets no task and no answer, and is reported. Known motions get the id, split,
+/// Existing tasks stay unchanged, unless nobody has worked on them: then an accepted answer fills them, or replaces a
+/// label that was imported from the dataset. A pair whose id is that of a task about other clips gets no task and no
+/// answer, and is reported. Known motions get the id, split,
 /// captions, style and action of the dataset, and their tasks the split. If the store has a note [`CHOSEN`] with a
 /// condition, new tasks are created only for clips that meet it, and for pairs of such clips.
 ///

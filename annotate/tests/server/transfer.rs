@@ -794,7 +794,7 @@ fn an_answer_about_other_clips_than_the_task_of_its_key_fills_no_task() {
             .collect()
     };
     assert_eq!(clips(pair_rows(&site)), clips(of_second));
-    // A new project has the tasks about these clips, as labels of the dataset. The table names no authors of them.
+    // A new project has these answers as labels of the dataset. The table names no authors, so it replaces none.
     let third = fresh_store(&site, "third.sqlite");
     let taken = take(&third, &table);
     let counts = ["known_tasks", "filled_tasks", "new_tasks", "conflicts"];

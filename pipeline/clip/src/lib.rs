@@ -202,8 +202,8 @@ pub fn stride(by_rate: f64, covered: usize, frames: usize) -> f64 {
     const TOLERANCE: f64 = 1e-3;
     let steps = frames.saturating_sub(1).max(1);
     let taken = covered.saturating_sub(1) as f64 / steps as f64;
-    // Interpolated frames cover at least what the rates say. HumanML3D's rule skips a whole number of frames and may
-    // cover less; clips cut by it stated the resulting rate as that of their file in earlier versions.
+    // Interpolated frames cover at least what the rates say. HumanML3D's rule takes every n-th frame, and may cover less.
+    // Datasets of earlier versions state the rate after that rule as the rate of the file.
     match by_rate == 1.0 || taken < by_rate - TOLERANCE {
         true => taken.round().max(1.0),
         false => by_rate,

@@ -254,7 +254,7 @@ pub struct DrawnItems<'a> {
     questions: Vec<Question>,
     /// Number of items that were drawn, of which [`ItemConfig::part`] are kept.
     pub num_drawn: usize,
-    /// How many of these are of each requested novelty.
+    /// Number of drawn items of each requested novelty.
     pub of_novelty: BTreeMap<Novelty, usize>,
     /// Number of masks and pairs of the wanted tasks and kinds that are shorter than a window, and are no question.
     pub num_short: usize,

@@ -20,7 +20,7 @@ use compose::{Error, described, instruction, motion_on};
 
 /// Column `author` of these masks; the number is the version of the rules.
 pub const AUTHOR: &str = "stance-activity-2";
-/// Prefix of [`AUTHOR`] in every version of the rules.
+/// The beginning of [`AUTHOR`], which is the same for all versions of the rules.
 const AUTHOR_OF_RULES: &str = "stance-activity-";
 /// Origin of a text that the source gives for the part.
 pub const IMPORTED: &str = "imported";
@@ -42,7 +42,7 @@ pub struct LeftOut {
 }
 
 impl LeftOut {
-    /// Those of some clips.
+    /// Keeps the clips that `is_asked` accepts.
     pub(crate) fn of(mut self, is_asked: impl Fn(&MotionId) -> bool) -> Self {
         self.short_captions.retain(&is_asked);
         self.other_side.retain(&is_asked);
@@ -139,9 +139,10 @@ const CHEST: usize = 9;
 ///
 /// * A part that the source describes has a mask with that description, even if it is at rest.
 /// * An active torso makes `UPPER_BODY`; otherwise two active arms make `BOTH_ARMS` and one makes
-///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text comes from a caption of the whole clip, else
-///   from one of a part of it, at least as long as a window, and the mask holds for its frames; else from the action
-///   label. Without a text there is no mask, and none of an arm if the text names the other side alone.
+///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text comes from the first caption of the whole
+///   clip; without one, from the first caption of a part of the clip that lasts at least a window, and the mask has the
+///   frames of that part; without one, from the action label. Without a text there is no mask. The mask of one arm is
+///   left out if its text names only the other side.
 ///
 /// The reference of each part comes from clips of the training split only.
 ///
@@ -171,7 +172,8 @@ pub(crate) fn activities(
     motions.par_iter().map(of).collect()
 }
 
-/// [`automatic_masks`] of clips whose activities are known, and where one is left out; their frames are not read.
+/// [`automatic_masks`] of clips whose activities are known; their frames are not read. Also returns the clips for which
+/// a mask was left out.
 pub(crate) fn masks_from(
     motions: &[MotionRow],
     activities: &[Activity],

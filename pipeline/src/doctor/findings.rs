@@ -87,7 +87,7 @@ pub(super) struct Kind {
     pub(super) files: u64,
     pub(super) bytes: u64,
     pub(super) clips: u64,
-    /// Whether `clips` is the least number: a file may hold several, which only reading it would show.
+    /// Whether there may be more clips than `clips`: only reading a file shows how many it holds.
     pub(super) is_least: bool,
 }
 

@@ -17,7 +17,7 @@ pub(super) enum Fate {
     /// The clip's source is not among those of this run, or cannot be read now.
     Elsewhere,
     Kept,
-    /// The file is unchanged or gives the same motion, but a label, a setting or another clip of the file changed.
+    /// The motion is the same, but it is read again: a label, a setting or another clip of its file changed.
     ReadAgain,
     /// The clip is read again because its file changed. If the file then gives the same motion, the fate is `ReadAgain`.
     Changed,

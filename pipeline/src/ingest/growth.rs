@@ -31,7 +31,7 @@ pub struct Growth {
     pub labels: BTreeMap<String, u64>,
     /// Masks and pairs that are lost, with the reason. The previous version keeps them.
     pub lost: Vec<LostLabel>,
-    /// Number of masks of sources that are left out, because people have described their clips since without them.
+    /// Number of masks of sources that are left out, because people have replaced or removed them since.
     pub gave_way: u64,
     /// Number of automatic masks and pairs of clips that changed or were removed, by table. Their stages make those of changed
     /// clips again.

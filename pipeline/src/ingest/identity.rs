@@ -18,7 +18,7 @@ use crate::names::free;
 use crate::recordings::{Groups, source_clip};
 use crate::versions::taken_out;
 
-/// Whether a motion of a release may be the recorded clip whose id is the motion's id behind this prefix.
+/// Whether a motion of a release may be a recorded clip. The clip's id is this prefix and the motion's id.
 type IsWanted<'a> = dyn Fn(&Planned, &str) -> bool + 'a;
 
 impl Plan {
@@ -173,7 +173,7 @@ impl Plan {
         if !items.iter().any(is_new) {
             return Vec::new();
         }
-        // A clip that a release still lists where it was, though it cannot be read, is no other motion.
+        // A release may still list a clip at its place although it cannot be read. Then no other motion is that clip.
         let entries = self.releases.iter();
         let entries = entries.flat_map(|(_, release)| &release.contents().entries);
         let listed: BTreeSet<(&str, &str)> = entries

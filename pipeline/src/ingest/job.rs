@@ -34,9 +34,8 @@ struct Detail {
     sources: Vec<u32>,
 }
 
-/// Plans an ingestion for any number of processes: every file is listed and hashed, and of the motions only changed ones
-/// with labels of people are read. `out` is the
-/// folder of the plan.
+/// Plans an ingestion for any number of processes: every file is listed and hashed; of the motions, only changed ones with
+/// labels of people are read. `out` is the folder of the plan.
 ///
 /// # Errors
 /// As [`ingest`](super::ingest), or the folder of the plan is occupied.

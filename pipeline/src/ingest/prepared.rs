@@ -153,7 +153,7 @@ impl Prepared {
         progress: &dyn Progress,
     ) -> Fates<'a> {
         let mut foreseen = fates.clone();
-        // Nothing is refused then.
+        // Lost labels refuse nothing then.
         if self.options.drop_labels {
             return foreseen;
         }

@@ -64,8 +64,8 @@ pub(super) fn without_rows(paper: TableArg, out: &Path) -> String {
     format!("{name} (no system of it has edits{stale})")
 }
 
-/// Files in the folders of tables and figures of `out` that are not among `written`, given without extension. Earlier
-/// plans have left them.
+/// Files of earlier plans in the folders of tables and figures of `out`: those that this plan did not write. `written` holds
+/// the paths that it wrote, without extension.
 pub(super) fn left_over(out: &Path, written: &BTreeSet<PathBuf>) -> Vec<String> {
     let entries = ["tables", "figures"].map(|folder| std::fs::read_dir(out.join(folder)));
     let paths = entries.into_iter().flatten().flatten().flatten();

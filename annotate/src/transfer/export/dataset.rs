@@ -81,8 +81,8 @@ impl Exporter<'_> {
         let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
         let is_recorded =
             rejected == manifest.rejected_pairs()? && unmasked == manifest.rejected_masks()?;
-        // Equal rows are written again if an answer is newer than the last export: `leave_rejected` tells by its number which
-        // rejections of others came later.
+        // If an answer is newer than the last export, equal rows are committed again, with the number of the answer:
+        // `leave_rejected` compares it with later rejections by others.
         let is_own = manifest.facts.get(ANNOTATE_STORE_FACT) == Some(&self.done.store);
         let written = manifest.facts.get(ANNOTATE_SEQ_FACT);
         let written = written.and_then(|seq| seq.parse::<i64>().ok());

@@ -329,7 +329,7 @@ fn agreement_rows(agreement: &Agreement) -> Vec<AgreementRow> {
     let parts = agreement.parts.iter().chain(&agreement.verdicts);
     let ac1 = |part: &PartAgreement| (part.gwet_ac1, part.chance);
     let jaccard = (agreement.jaccard, agreement.jaccard_chance);
-    // Each part is one decision about every task of masks.
+    // Every task of masks with several answers is one item of each part.
     let num_masks = agreement.parts.first().map_or(0, |part| part.items);
     parts
         .map(|part| row(&part.part, "gwet_ac1", ac1(part), part.items))

@@ -144,19 +144,18 @@ impl PairList {
         known: &[PairRow],
         rejected: &BTreeSet<[MotionId; 2]>,
     ) -> ListedPairs {
-        let known: BTreeMap<[&MotionId; 2], Vec<&PairRow>> =
-            known.iter().fold(BTreeMap::new(), |mut known, row| {
-                let sides = [&row.source_id, &row.target_id];
-                known.entry(sides).or_insert_with(Vec::new).push(row);
-                known
-            });
+        let mut by_sides: BTreeMap<[&MotionId; 2], Vec<&PairRow>> = BTreeMap::new();
+        for row in known {
+            let sides = [&row.source_id, &row.target_id];
+            by_sides.entry(sides).or_default().push(row);
+        }
         let mut made = ListedPairs {
             refused: self.refused.clone(),
             ..ListedPairs::default()
         };
         let mut seen: BTreeMap<String, u64> = BTreeMap::new();
         for line in &self.lines {
-            let row = line.pair(motions, &known).and_then(|row| {
+            let row = line.pair(motions, &by_sides).and_then(|row| {
                 let (source, target) = (&row.source_id, &row.target_id);
                 if rejected.contains(&[source.clone(), target.clone()]) {
                     return Err(format!(

@@ -79,8 +79,8 @@ pub(super) fn is_licensed_card(text: &str) -> bool {
     text.starts_with("---") && text.lines().any(|line| line.starts_with("license:"))
 }
 
-/// Tags of the field `license`, one or a list, of a dataset card of Hugging Face. Cards may hold tags that no SPDX
-/// identifier is known for here; these stay as they are.
+/// Tags of the field `license` of a Hugging Face dataset card: one tag, or a list. A tag without a known SPDX identifier is
+/// kept as it is.
 fn card_tags(text: &str) -> BTreeSet<String> {
     let is_card = is_licensed_card(text);
     let mut tags = BTreeSet::new();
