@@ -128,9 +128,17 @@ pub(crate) fn devices() -> &'static [Device] {
     &chosen().0
 }
 
-/// Which kernels and which precision models are computed with.
-pub(crate) fn arithmetic() -> Arithmetic {
+/// Which kernels and which precision models are trained with.
+pub(crate) fn training_arithmetic() -> Arithmetic {
     chosen().1
+}
+
+/// Which kernels models compute with otherwise. Edits and scores record no precision, so there is one.
+pub(crate) fn arithmetic() -> Arithmetic {
+    Arithmetic {
+        bf16: false,
+        ..training_arithmetic()
+    }
 }
 
 /// The first of the chosen devices; models that do not train run on it alone.

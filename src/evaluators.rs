@@ -220,7 +220,7 @@ pub(crate) fn report_on_encoder(
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?.with_arithmetic(arithmetic());
     let clips = CaptionedClips::read(dataset, Split::Val)?.clips;
     let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
-    let report = JudgeReport::measure(
+    let measured = JudgeReport::measure(
         &texts,
         &of_texts,
         &of_motions,
@@ -229,6 +229,10 @@ pub(crate) fn report_on_encoder(
         Split::Val,
         seed,
     )?;
+    let report = JudgeReport {
+        condition: dataset.condition().map(str::to_owned),
+        ..measured
+    };
     let mut text = serde_json::to_vec_pretty(&report)?;
     text.push(b'\n');
     local::write(&run.join(REPORT), &text)?;
@@ -245,6 +249,10 @@ pub(crate) struct WeakJudgeArgs {
 }
 
 impl WeakJudgeArgs {
+    pub(crate) fn is_given(self) -> bool {
+        self.weak_judge
+    }
+
     /// Exit code of an evaluation. `unranked` is the reason why the scores rank no systems: it is printed, and the exit
     /// is [`Exit::Failed`] unless --weak-judge is given. Returns `otherwise` in all other cases.
     pub(crate) fn exit(self, unranked: Option<String>, otherwise: Exit) -> Exit {

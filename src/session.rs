@@ -11,11 +11,12 @@ use remote_store::hub::HubCache;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use train::Session;
+use train::model::pass::Arithmetic;
 use train::registry::has_frozen_text;
 use train::text::source::TextEncoderSource;
 use train::work::Surroundings;
 
-use crate::device::{arithmetic, device, devices};
+use crate::device::{arithmetic, device, devices, training_arithmetic};
 use crate::exit::{Exit, Stopped};
 
 /// Set by the first interrupt; training then saves and ends.
@@ -43,9 +44,25 @@ fn listen_for_interrupts() {
     });
 }
 
-/// Runs a stage that trains or edits.
+/// Runs a training, in the precision that the user chose for trainings.
+pub(crate) fn with_training<T>(
+    progress: &dyn Progress,
+    act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
+) -> Result<T, train::Error> {
+    in_session(progress, training_arithmetic(), act)
+}
+
+/// Runs a stage that edits.
 pub(crate) fn with_session<T>(
     progress: &dyn Progress,
+    act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
+) -> Result<T, train::Error> {
+    in_session(progress, arithmetic(), act)
+}
+
+fn in_session<T>(
+    progress: &dyn Progress,
+    arithmetic: Arithmetic,
     act: impl FnOnce(&Session<'_>) -> Result<T, train::Error>,
 ) -> Result<T, train::Error> {
     listen_for_interrupts();
@@ -53,7 +70,7 @@ pub(crate) fn with_session<T>(
     act(&Session {
         device: &device(),
         more_devices: &devices()[1..],
-        arithmetic: arithmetic(),
+        arithmetic,
         progress,
         stop: &STOP,
         clock: &|| begun.elapsed(),

@@ -1,11 +1,13 @@
 //! Stages that several verbs share. They also print notes to stderr, and write the times of editing beside the edits.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use compose::recording::{self, Kind, Settings};
 use compose::{ComposeConfig, ItemConfig};
+use datasets_spec::record::EditRow;
+use datasets_spec::table::{Row as _, read_column};
 use datasets_spec::{Dataset, MotionId, Seed, Split};
 use eval::answers::{Answered, Scores};
 use eval::judge::JudgeReport;
@@ -25,7 +27,7 @@ use crate::device::{described, device};
 use crate::evaluators::{EvaluatorRuns, report_on_encoder};
 use crate::global::Global;
 use crate::report;
-use crate::session::with_session;
+use crate::session::{with_session, with_training};
 
 /// Name of the evaluation encoder among the models.
 pub(crate) const ENCODER: &str = "tmr";
@@ -92,7 +94,7 @@ pub(crate) fn trained(
     global: &Global,
 ) -> anyhow::Result<(Trained, Option<JudgeReport>)> {
     let run = request.start.run;
-    let done = with_session(&global.bars().of(run), |session| {
+    let done = with_training(&global.bars().of(run), |session| {
         (kind.train)(request, session)
     })?;
     if kind.name != ENCODER || !done.is_complete {
@@ -150,6 +152,14 @@ pub(crate) fn edits(
         answer_items(&mut *system, &items, out, takes, seed, &holder, session)
     })?;
     note_remarks(&made.remarks);
+    if made.replaced > 0 {
+        report::note(&format!(
+            "the {} edits that {} held were made of other settings, weights, seeds or labels of items; they are an \
+             older version of it now",
+            made.replaced,
+            out.display()
+        ));
+    }
     made.remarks.write(out)?;
     if let Some(times) = &made.times {
         per_window(times, described()).write(out)?;
@@ -163,14 +173,27 @@ pub(crate) fn note_remarks(remarks: &Remarks) {
     }
 }
 
-/// Words of the instructions that are missing from the vocabulary of at least one system in these tables of edits.
-pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String>> {
-    let mut words = BTreeSet::new();
+/// Words of the instructions that systems of these tables of edits have never seen, each with those systems.
+pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<UnknownWords> {
+    let mut systems_of = UnknownWords::new();
     for folder in edits {
-        words.extend(Remarks::read(folder)?.unknown_words);
+        let words = Remarks::read(folder)?.unknown_words;
+        if words.is_empty() {
+            continue;
+        }
+        let mut systems: BTreeSet<String> = BTreeSet::new();
+        for (path, _) in Dataset::open_unverified(folder)?.files(EditRow::TABLE, None) {
+            systems.extend(read_column::<EditRow, String>(&path, "system")?);
+        }
+        for word in words {
+            systems_of.entry(word).or_default().extend(systems.clone());
+        }
     }
-    Ok(words)
+    Ok(systems_of)
 }
+
+/// Words, each with the names of the systems that have never seen it.
+pub(crate) type UnknownWords = BTreeMap<String, BTreeSet<String>>;
 
 /// The times of a window on average. `device` says what computed them.
 pub(crate) fn per_window(times: &EditTimes, device: String) -> WindowTimes {

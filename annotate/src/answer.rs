@@ -7,6 +7,7 @@ use datasets_spec::{BodyPart, JointSet};
 use crate::error::{Error, require};
 use crate::mask::{
     Cells, check_choices, check_names, check_ranges, jaccard, jaccard_in_time, joints,
+    shortest_range,
 };
 use crate::wire::{
     Answer, Code, CountReason, EditType, Extent, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS,
@@ -182,19 +183,19 @@ fn is_given<T: PartialEq>(ours: Option<T>, imported: Option<T>) -> bool {
     imported.is_none() || ours == imported
 }
 
-/// Checks a submitted answer about a clip with `frames` frames: a valid draft without missing fields.
+/// Checks a submitted answer about a clip with a number of frames and a rate: a valid draft without missing fields.
 pub(crate) fn check_submission(
     answer: &Answer,
     kind: TaskKind,
     settings: &Settings,
-    frames: i64,
+    (frames, fps): (i64, f64),
 ) -> Result<(), Error> {
     check_draft(answer, kind)?;
     let said = answer.fields();
     match kind {
         TaskKind::MaskText => {
             check_masks(said.masks, frames)?;
-            check_ranges(said.masks, frames)?;
+            check_ranges(said.masks, frames, shortest_range(fps))?;
             check_mask_count(said.masks.len(), said.count_reason, settings)
         }
         _ if answer.is_reject() => Ok(()),
@@ -536,7 +537,7 @@ mod tests {
     }
 
     fn code(answer: &Answer) -> Option<Code> {
-        match check_submission(answer, answer.kind(), &Settings::default(), FRAMES) {
+        match check_submission(answer, answer.kind(), &Settings::default(), (FRAMES, 20.0)) {
             Ok(()) => None,
             Err(error) => Some(error.problem().code),
         }

@@ -9,7 +9,7 @@ use datasets_spec::rejected::MaskPlace;
 use datasets_spec::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::mask::{check_choices, check_range, choices, mask_of};
+use crate::mask::{check_choices, check_range, choices, mask_of, shortest_range};
 use crate::wire::JointChoice;
 
 /// Decision of a person about a draft.
@@ -137,13 +137,14 @@ impl Judgement {
     }
 
     /// Checks the mask's range of frames in a clip with `frames` frames; `None` stands for the whole clip.
-    fn range(&self, frames: i32) -> Result<Option<[i32; 2]>, String> {
+    fn range(&self, frames: i32, fps: f64) -> Result<Option<[i32; 2]>, String> {
         let range = match (self.start, self.end) {
             (None, None) => return Ok(None),
             (Some(start), Some(end)) => [start, end],
             _ => return Err("give both start and end, or neither for the whole clip".to_owned()),
         };
-        check_range(range, frames.into()).map_err(|problem| format!("the mask {problem}"))?;
+        check_range(range, frames.into(), shortest_range(fps))
+            .map_err(|problem| format!("the mask {problem}"))?;
         Ok(Some(range))
     }
 }
@@ -183,10 +184,13 @@ const HUMAN: &str = "human";
 /// Origin of a mask text that a person wrote and nobody has judged.
 const DRAFT: &str = "draft";
 
+/// Split, number of frames and frame rate of each motion.
+type Motions = BTreeMap<MotionId, (Split, i32, f64)>;
+
 /// Reads edited lines and returns the new masks of the dataset: pending drafts keep their edits, accepted lines become
 /// masks of `author`, rejected drafts are removed. Empty lines are skipped.
 ///
-/// `masks` are the dataset's present masks and `motions` its motions with their splits and numbers of frames.
+/// `masks` are the dataset's present masks and `motions` its motions with their splits, numbers of frames and rates.
 ///
 /// # Errors
 /// The problems of all refused lines; then no line is accepted.
@@ -194,7 +198,7 @@ pub fn accept(
     lines: &str,
     author: &str,
     masks: &[MaskRow],
-    motions: &BTreeMap<MotionId, (Split, i32)>,
+    motions: &Motions,
 ) -> Result<Taken, Vec<Finding>> {
     let drafts: BTreeMap<&str, &MaskRow> = masks.iter().map(|m| (m.id.as_str(), m)).collect();
     let mut findings = Vec::new();
@@ -247,7 +251,7 @@ fn judge(
     line: &str,
     author: &str,
     drafts: &BTreeMap<&str, &MaskRow>,
-    motions: &BTreeMap<MotionId, (Split, i32)>,
+    motions: &Motions,
 ) -> Result<Option<(String, Option<MaskRow>)>, String> {
     let judgement: Judgement = serde_json::from_str(line).map_err(|error| error.to_string())?;
     let draft = match judgement.mask.as_str() {
@@ -264,7 +268,7 @@ fn judge(
         })?),
     };
     let motion_id = MotionId::parse(&judgement.motion).map_err(|error| error.to_string())?;
-    let (split, frames) = *motions
+    let (split, frames, fps) = *motions
         .get(&motion_id)
         .ok_or_else(|| format!("motion {motion_id} is not in the dataset"))?;
     if let Some(draft) = draft
@@ -284,7 +288,7 @@ fn judge(
     if judgement.verdict == Verdict::Reject {
         return Ok(draft.map(|_| (judgement.mask, None)));
     }
-    let range = judgement.range(frames)?;
+    let range = judgement.range(frames, fps)?;
     let mask = mask_of_line(&judgement)?;
     let named = format!("{motion_id}#{}", judgement.parts.join("+"));
     let row = MaskRow {
@@ -365,14 +369,19 @@ mod tests {
         }
     }
 
-    fn dataset() -> (Vec<MaskRow>, BTreeMap<MotionId, (Split, i32)>) {
+    fn dataset() -> (Vec<MaskRow>, Motions) {
         let masks = vec![
             automatic("a", BodyPart::LeftArm),
             automatic("a", BodyPart::LowerBody),
             automatic("b", BodyPart::UpperBody),
         ];
         let motions = ["a", "b", "c"]
-            .map(|id| (MotionId::parse(id).expect("valid"), (Split::Train, 40)))
+            .map(|id| {
+                (
+                    MotionId::parse(id).expect("valid"),
+                    (Split::Train, 40, 20.0),
+                )
+            })
             .into();
         (masks, motions)
     }

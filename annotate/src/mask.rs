@@ -1,7 +1,7 @@
 //! The masks of an answer: their joints, their frames, and checks of both.
 
 use datasets_spec::record::MaskRow;
-use datasets_spec::{BlendMask, BodyPart, Joint, JointSet};
+use datasets_spec::{BlendMask, BodyPart, Fps, Joint, JointSet};
 
 use crate::Error;
 use crate::wire::{JointChoice, JointWeight, MaskAnswer};
@@ -106,9 +106,18 @@ pub(crate) fn check_choices(
     Ok(())
 }
 
-/// Checks that a range lies in a clip with `frames` frames and is at least as long as a training window. The error says
-/// what is wrong and what to do, and continues a sentence that begins with the name of the mask.
-pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), String> {
+/// Length in frames of the shortest range that a mask may hold for, in a clip of this rate: that of a training window.
+pub(crate) fn shortest_range(fps: f64) -> i32 {
+    Fps::new(fps).map_or(MaskRow::SHORTEST, MaskRow::shortest)
+}
+
+/// Checks that a range lies in a clip with `frames` frames and has at least `shortest` frames. The error says what is wrong
+/// and what to do, and continues a sentence that begins with the name of the mask.
+pub(crate) fn check_range(
+    [start, end]: [i32; 2],
+    frames: i64,
+    shortest: i32,
+) -> Result<(), String> {
     const WHOLE: &str = "or let it hold for the whole clip";
     let length = i64::from(end) - i64::from(start);
     if start < 0 || length <= 0 {
@@ -121,21 +130,21 @@ pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), Str
             "holds up to frame {end} of a clip of {frames} frames; move its end, {WHOLE}"
         ));
     }
-    if length < i64::from(MaskRow::SHORTEST) {
+    if length < i64::from(shortest) {
         return Err(format!(
-            "holds for {length} frames, but a range needs {} at least, as many as a training window; widen it, {WHOLE}",
-            MaskRow::SHORTEST
+            "holds for {length} frames, but a range needs {shortest} at least, as many as a training window; widen it, \
+             {WHOLE}"
         ));
     }
     Ok(())
 }
 
-/// Refuses masks if the range of one does not fit a clip with `frames` frames.
-pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
+/// Refuses masks if the range of one does not fit a clip with `frames` frames, or has fewer than `shortest`.
+pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64, shortest: i32) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
         let checked = mask
             .range
-            .map_or(Ok(()), |range| check_range(range, frames));
+            .map_or(Ok(()), |range| check_range(range, frames, shortest));
         checked.map_err(|problem| {
             let field = format!("answer.masks.{index}.range");
             Error::invalid(&field, format!("mask {} {problem}", index + 1))
@@ -293,10 +302,12 @@ mod tests {
 
     #[test]
     fn a_range_lies_in_the_clip_and_is_as_long_as_a_window() {
-        let least = MaskRow::SHORTEST;
+        let least = shortest_range(20.0);
         for range in [[0, least], [9, 40], [0, 40]] {
-            assert_eq!(check_range(range, 40), Ok(()), "{range:?}");
+            assert_eq!(check_range(range, 40, least), Ok(()), "{range:?}");
         }
+        // A window lasts as long at every rate.
+        assert_eq!([10.0, 20.0, 60.0].map(shortest_range), [16, 31, 91]);
         for (range, problem) in [
             ([-1, 30], "a first frame from 0 on"),
             ([20, 20], "a later end"),
@@ -306,7 +317,7 @@ mod tests {
                 "holds for 30 frames, but a range needs 31 at least",
             ),
         ] {
-            let found = check_range(range, 40).expect_err("a problem");
+            let found = check_range(range, 40, least).expect_err("a problem");
             assert!(found.contains(problem), "{found}");
         }
     }

@@ -71,6 +71,10 @@ names! {
         Expired = "expired",
         /// A reviewer revoked the lease.
         TakenAway = "taken_away",
+        /// The clip of the task was ingested again with other content, which its holder has not seen.
+        ClipChanged = "clip_changed",
+        /// The clip of the task is no longer in the dataset.
+        ClipGone = "clip_gone",
     }
 }
 

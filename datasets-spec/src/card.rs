@@ -51,9 +51,21 @@ pub(crate) fn text(manifest: &Manifest) -> String {
     );
     text += &tables(manifest);
     if let Some(by) = manifest.facts.get(SPLIT_BY_FACT) {
-        text += &format!(
-            "\nSplits that no list states were drawn by {by}: all of one {by} is in one split.\n"
-        );
+        text += &format!("\nSplits that no list states were drawn by {by} as clips were added.");
+        let columns = match by.as_str() {
+            "subject" => "source_name, subject",
+            "action" => "action",
+            _ => "",
+        };
+        // Clips keep their splits, so the labels that they have now may say otherwise.
+        if !columns.is_empty() {
+            text += &format!(
+                " Lists, labels corrected later, and merged datasets may put one {by} into several splits; this lists them:\n\n\
+                 ```sh\nstance query DATASET \"SELECT {columns} FROM motions WHERE {by} IS NOT NULL GROUP BY {columns} \
+                 HAVING count(DISTINCT split) > 1 ORDER BY {columns}\"\n```"
+            );
+        }
+        text += "\n";
     }
     text += &sources(manifest);
     text += &license_table(manifest);

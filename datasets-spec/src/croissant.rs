@@ -87,24 +87,35 @@ pub(crate) fn text(manifest: &Manifest) -> String {
 
 /// URL of an SPDX licence; the tag itself for other licences.
 fn license_url(tag: &str) -> String {
-    match tag.starts_with("LicenseRef-") || tag.contains(' ') {
-        true => tag.to_owned(),
-        false => format!("https://spdx.org/licenses/{tag}.html"),
+    let is_of_identifier = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '+' | '-');
+    match !tag.starts_with("LicenseRef-") && tag.chars().all(is_of_identifier) {
+        true => format!("https://spdx.org/licenses/{tag}.html"),
+        false => tag.to_owned(),
     }
 }
 
 fn record_set(id: &str, table: &str, columns: &[Column], source: &Value) -> Value {
     // Croissant cannot express lists of structures; readers find those columns in the Parquet schema.
-    let fields: Vec<Value> = columns
+    let (hidden, shown): (Vec<&Column>, Vec<&Column>) = columns
         .iter()
-        .filter(|column| !column.type_name().contains("struct"))
+        .partition(|column| column.type_name().contains("struct"));
+    let fields: Vec<Value> = shown
+        .into_iter()
         .map(|column| field(id, column, source))
         .collect();
+    let mut description = format!("Rows of table {table}.");
+    if !hidden.is_empty() {
+        let names: Vec<&str> = hidden.iter().map(|column| column.name).collect();
+        description += &format!(
+            " The files also have these columns of structures, which this format cannot describe: {}.",
+            names.join(", ")
+        );
+    }
     json!({
         "@type": "cr:RecordSet",
         "@id": id,
         "name": id,
-        "description": format!("Rows of table {table}."),
+        "description": description,
         "field": fields,
     })
 }

@@ -28,8 +28,33 @@ pub fn is_restricted(tag: &str) -> bool {
     parts.any(|part| matches!(part, "licenseref" | "nd"))
 }
 
-/// Families of SPDX identifiers that the Hugging Face hub knows.
-const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
+/// SPDX identifiers that the Hugging Face hub knows, in its own spelling.
+const KNOWN_TO_HUB: [&str; 24] = [
+    "apache-2.0",
+    "bsd-2-clause",
+    "bsd-3-clause",
+    "bsd-3-clause-clear",
+    "cc-by-2.0",
+    "cc-by-2.5",
+    "cc-by-3.0",
+    "cc-by-4.0",
+    "cc-by-nc-2.0",
+    "cc-by-nc-3.0",
+    "cc-by-nc-4.0",
+    "cc-by-nc-nd-3.0",
+    "cc-by-nc-nd-4.0",
+    "cc-by-nc-sa-2.0",
+    "cc-by-nc-sa-3.0",
+    "cc-by-nc-sa-4.0",
+    "cc-by-nd-4.0",
+    "cc-by-sa-3.0",
+    "cc-by-sa-4.0",
+    "cc0-1.0",
+    "isc",
+    "mit",
+    "unlicense",
+    "zlib",
+];
 
 /// The Hugging Face hub's names of licences: SPDX identifiers in lower case, `other` for licences that the hub does not
 /// know, and `unknown` for the empty tag.
@@ -37,9 +62,9 @@ pub fn hub_names(licenses: &BTreeMap<String, u64>) -> BTreeSet<String> {
     licenses
         .keys()
         .flat_map(|tag| tag.split(" AND "))
-        .map(|tag| match tag {
-            "" => "unknown".to_owned(),
-            tag if KNOWN_TO_HUB.iter().any(|family| tag.starts_with(family)) => tag.to_lowercase(),
+        .map(|tag| match tag.to_lowercase() {
+            tag if tag.is_empty() => "unknown".to_owned(),
+            tag if KNOWN_TO_HUB.contains(&tag.as_str()) => tag,
             _ => "other".to_owned(),
         })
         .collect()
@@ -111,6 +136,21 @@ mod tests {
         for tag in ["", "CC-BY-NC-SA-4.0", "CC0-1.0", "MIT", "BSD-3-Clause"] {
             assert!(!is_restricted(tag), "{tag}");
         }
+    }
+
+    #[test]
+    fn the_card_has_names_that_the_hub_knows() {
+        let tags = [
+            "",
+            "MIT",
+            "CC-BY-4.0 AND MIT-0",
+            "MIT OR Apache-2.0",
+            "MIT: see LICENSE",
+            "CC-BY-3.0-US",
+        ];
+        let counted = tags.map(|tag| (tag.to_owned(), 1)).into();
+        let names: Vec<String> = hub_names(&counted).into_iter().collect();
+        assert_eq!(names, ["cc-by-4.0", "mit", "other", "unknown"]);
     }
 
     #[test]

@@ -275,7 +275,7 @@ fn interval(resampled: &mut [f64], targets: usize) -> Option<[f64; 2]> {
 /// Ends of an interval about a difference in FID; `None` if there are too few targets. Drawing with replacement inflates
 /// FID, for each system by another amount, so the quantiles need not enclose the difference.
 fn interval_about(difference: f64, resampled: &[f64], targets: usize) -> Option<[f64; 2]> {
-    let half = Interval::of_resamples(difference, resampled, &[]).ci95;
+    let half = Interval::of_resamples(difference, resampled, &[], 0.0).ci95;
     let half = half.unwrap_or(0.0);
     (targets >= MIN_TARGETS as usize).then_some([difference - half, difference + half])
 }

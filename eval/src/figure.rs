@@ -147,9 +147,11 @@ impl Figure {
                 (false, false) => format!("{mean:.digits$} ±{half:.digits$}"),
             }
         };
+        let keys = [Some(&self.key), self.second_key.as_ref()];
+        let keys: Vec<&str> = keys.into_iter().flatten().map(String::as_str).collect();
         Grid {
             title: self.name.clone(),
-            head: [self.key.clone()].into_iter().chain(head).collect(),
+            head: std::iter::once(keys.join(", ")).chain(head).collect(),
             rows: std::iter::zip(points, scored)
                 .map(|(point, rows)| {
                     let changed = point.changes.iter().map(|(_, value)| label(value));

@@ -47,6 +47,9 @@ pub struct JudgeReport {
     pub encoder_hash: String,
     /// Root hash of the dataset.
     pub dataset_hash: String,
+    /// The condition that chose the clips; `None` if the split is whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub condition: Option<String>,
     /// Split of the clips.
     pub split: String,
     /// Seed of galleries and bootstrap draws.
@@ -117,6 +120,7 @@ impl JudgeReport {
             format: FORMAT,
             encoder_hash: encoder_hash.to_owned(),
             dataset_hash: dataset_hash.to_owned(),
+            condition: None,
             split: split.as_str().to_owned(),
             seed: seed.0,
             clips: texts.len(),
@@ -168,9 +172,11 @@ impl JudgeReport {
                 of(recalls.r3, self.chance.r3)
             )
         };
+        let chosen = self.condition.iter();
+        let chosen: String = chosen.map(|words| format!(" where {words}")).collect();
         vec![
             format!(
-                "retrieval on {} clips of {} with {} different texts, galleries of {}{few}, {} repeats, seed {}, dataset {:.12}",
+                "retrieval on {} clips of {} with {} different texts, galleries of {}{few}, {} repeats, seed {}, dataset {:.12}{chosen}",
                 self.clips,
                 self.split,
                 self.texts,
@@ -401,6 +407,7 @@ mod tests {
                 format: FORMAT,
                 encoder_hash: String::new(),
                 dataset_hash: String::new(),
+                condition: None,
                 split: "val".to_owned(),
                 seed: 0,
                 clips: 32,

@@ -5,9 +5,10 @@ use std::collections::BTreeSet;
 use datasets_spec::dataset::ShardName;
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
-    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
+    CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow,
+    SkippedRow,
 };
-use datasets_spec::table::{Row, ShardReader, read_rows};
+use datasets_spec::table::{Caption, PartCaption, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 
 datasets_spec::table! {
@@ -39,6 +40,45 @@ datasets_spec::table! {
         pub centre_y: Option<f32> ["m", newer],
         /// z of [`ClipFacts::centre`]
         pub centre_z: Option<f32> ["m", newer],
+    }
+}
+
+datasets_spec::table! {
+    /// Columns that describe a clip, as its source does.
+    pub struct ClipWords = "motions" {
+        /// Id
+        pub id: MotionId [""],
+        /// Descriptions
+        pub captions: Vec<Caption> ["s"],
+        /// Origins of the descriptions
+        pub caption_origins: Vec<String> ["", newer],
+        /// Descriptions of body parts
+        pub part_captions: Vec<PartCaption> [""],
+        /// Performer
+        pub subject: Option<String> ["", newer],
+        /// Action
+        pub action: Option<String> [""],
+        /// Style
+        pub style: Option<String> [""],
+    }
+}
+
+impl ClipWords {
+    /// Names of the columns in which the source says something. Captions that a rule made of a name do not count.
+    pub(crate) fn said(&self) -> BTreeSet<&'static str> {
+        let made = self
+            .caption_origins
+            .iter()
+            .filter(|origin| *origin == CAPTION_BY_RULE);
+        let columns = [
+            ("captions", made.count() < self.captions.len()),
+            ("part_captions", !self.part_captions.is_empty()),
+            ("subject", self.subject.is_some()),
+            ("action", self.action.is_some()),
+            ("style", self.style.is_some()),
+        ];
+        let said = columns.into_iter().filter(|(_, says)| *says);
+        said.map(|(name, _)| name).collect()
     }
 }
 

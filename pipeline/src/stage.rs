@@ -232,7 +232,7 @@ fn forget(lists: &mut RejectedMasks, chosen: &Dataset) -> usize {
     before - count(lists)
 }
 
-/// Commits the rows of a table, and facts. A table that the same plan made is written again.
+/// Commits the rows of a table that were made of a dataset, and facts. A table that the same plan made is written again.
 fn commit_changed<R: Row>(
     dataset: &Dataset,
     rows: &[R],
@@ -241,16 +241,13 @@ fn commit_changed<R: Row>(
     facts: BTreeMap<String, String>,
     context: &Context<'_>,
 ) -> Result<Dataset, Error> {
-    let (root, skeleton) = (dataset.root(), &dataset.skeleton()?);
-    if dataset.manifest().plan(R::TABLE) != plan && facts.is_empty() {
-        return Ok(context.commit(root, rows, Some(split_of), skeleton, plan)?);
-    }
-    let transaction = Transaction::begin(root, context.holder)?;
-    let files = transaction.write_rows(rows, Some(split_of), skeleton, plan)?;
+    let skeleton = dataset.skeleton()?;
+    let transaction = Transaction::begin_after(dataset, context.holder)?;
+    let files = transaction.write_rows(rows, Some(split_of), &skeleton, plan)?;
     let dataset = transaction.commit(Commit {
         tables: BTreeMap::from([(R::TABLE.to_owned(), files)]),
         plan_hash: plan.to_owned(),
-        skeleton: skeleton.clone(),
+        skeleton,
         facts,
         ..Commit::default()
     })?;
@@ -378,8 +375,8 @@ pub fn listed_pairs(
     }
     let inputs = (dataset.manifest().plan(PairRow::TABLE), &list.hash());
     let plan = plan_hash(pairs::LISTED, &inputs);
-    let skeleton = dataset.skeleton()?;
-    let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    let facts = BTreeMap::new();
+    let dataset = commit_changed(&dataset, &rows, |row| row.split, &plan, facts, context)?;
     Ok((dataset, made.refused))
 }
 

@@ -16,7 +16,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Transaction};
 use pipeline::Error;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest_in};
-use pipeline::versions::{Choice, RemoveOptions, compact, remove, restore};
+use pipeline::versions::{Choice, compact, remove, restore};
 
 const NUM_CLIPS: usize = 18;
 /// Seed of the splits with which the three takes of the corpus are not all in one split.
@@ -396,13 +396,13 @@ fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error
         "restore" => restore(transaction, 1, true).map(|_| ()),
         "remove" => {
             let choice = Choice::Where("id like '%sit%'".parse()?);
-            match remove(transaction, &choice, RemoveOptions::default()) {
+            match remove(transaction, &choice, false) {
                 // The clips are already removed.
                 Err(Error::Tables(tables::Error::NoneChosen { .. })) => Ok(()),
                 done => done.map(|_| ()),
             }
         }
-        _ => Ok(transaction.prune(1, false).map(|_| ())?),
+        _ => Ok(transaction.prune(1).map(|_| ())?),
     }
 }
 

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Subcommand;
 use datasets_spec::Transaction;
+use datasets_spec::dataset::prunable;
 use pipeline::merge::{Differing, Merged, merge};
 use serde_json::json;
 
@@ -137,9 +138,12 @@ fn summary(done: &Merged) -> String {
 
 fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
     // Check that the folder is a dataset: locking would create a missing folder.
-    datasets_spec::Dataset::open_unverified(&args.dataset)?;
-    let transaction = Transaction::begin(&args.dataset, &global.holder())?;
-    let done = transaction.prune(args.keep.get(), args.dry_run)?;
+    let dataset = datasets_spec::Dataset::open_unverified(&args.dataset)?;
+    let keep = args.keep.get();
+    let done = match args.dry_run {
+        true => prunable(dataset.store().as_ref(), dataset.root(), keep)?,
+        false => Transaction::begin(&args.dataset, &global.holder())?.prune(keep)?,
+    };
     let removed = match args.dry_run {
         true => "to remove; nothing was changed",
         false => "removed",

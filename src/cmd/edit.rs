@@ -1,6 +1,7 @@
 //! `stance edit`
 
 use std::io::{BufRead, IsTerminal};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -109,11 +110,12 @@ pub(crate) struct Args {
     motion: Option<String>,
     /// Instruction, such as "The person is waving with their left arm."; several are applied one after
     /// another
-    #[arg(long)]
+    #[arg(long, value_parser = instruction)]
     text: Vec<String>,
     /// Instruction for some frames, as FIRST:END TEXT, such as "0:40 The person is waving."; frames
     /// outside all ranges stay bit for bit as they are, and the edit has the rate of the motion. In the
-    /// first and last 0.4 s of a range, at most a third of it, the edit is blended with the motion
+    /// first and last 0.4 s of a range, at most a third of it, the edit is blended with the motion. In a
+    /// --history, frames are those of the last edit, which may have another rate than the motion
     #[arg(long, value_name = "FIRST:END TEXT", conflicts_with = "text")]
     during: Vec<TimedInstruction>,
     /// File that keeps the edits of one motion; without --text the instructions are read line by line
@@ -190,6 +192,9 @@ impl Args {
         let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
             bail!("answers to items are planned: --items ITEMS --into DIR");
         };
+        if self.profile {
+            bail!("a plan makes no use of --profile; leave it out");
+        }
         let (source, config, device) = (self.source()?, self.config(), self.device.to_json());
         let settings = (&config, global.seed());
         let made = plan_edits(&source, items, out, settings, device, surroundings(), plan)?;
@@ -258,6 +263,14 @@ fn print_profile(args: &Args, times: Option<&EditTimes>, global: &Global) {
 }
 
 /// The instructions as layers: each layer edits the result of the one before.
+/// Parses an instruction for all frames.
+fn instruction(text: &str) -> Result<String, String> {
+    match text.trim().is_empty() {
+        true => Err("the instruction is empty".to_owned()),
+        false => Ok(text.to_owned()),
+    }
+}
+
 fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     if !args.during.is_empty() {
         return vec![args.during.clone()];
@@ -306,11 +319,13 @@ fn one(args: &Args, named: &str, global: &Global) -> anyhow::Result<Exit> {
     }
     for out in &args.out {
         crate::local::check(out).map_err(anyhow::Error::msg)?;
+        Form::of(out)?;
     }
     let (dataset, skeleton) = dataset_and_skeleton(args)?;
     let (id, original) = opened(dataset.as_ref(), named, &skeleton)?;
     let layers = asked(args, &original);
-    let texts = texts(layers.iter().flatten());
+    let instructions: Vec<&TimedInstruction> = layers.iter().flatten().collect();
+    let texts = texts(instructions.iter().copied());
     let seed = global.seed();
     let mut system = args.system(&skeleton)?;
     let remarks = remarks(&*system, &original, &texts);
@@ -325,7 +340,7 @@ fn one(args: &Args, named: &str, global: &Global) -> anyhow::Result<Exit> {
         skeleton: &skeleton,
         original: &original,
         edited: &edited,
-        text: &texts.join(" / "),
+        instructions: &instructions,
         system: system.identity(),
         seed,
     };
@@ -367,6 +382,9 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
 
 /// Continues the history of one motion, or begins it.
 fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit> {
+    for out in &args.out {
+        Form::of(out)?;
+    }
     let (dataset, skeleton) = dataset_and_skeleton(args)?;
     let mut history = match (&args.motion, path.exists()) {
         (Some(_), true) => bail!(
@@ -470,7 +488,8 @@ impl Interactive<'_> {
     }
 
     fn write(&self, history: &EditHistory, out: &Path) -> anyhow::Result<()> {
-        let texts = texts(history.edits().iter().flat_map(|edit| &edit.instructions));
+        let edits = history.edits().iter();
+        let instructions: Vec<_> = edits.flat_map(|edit| &edit.instructions).collect();
         let last = history.edits().last();
         let edited = Edited {
             motion: history.current()?,
@@ -482,7 +501,7 @@ impl Interactive<'_> {
             skeleton: &self.skeleton,
             original: &history.original()?,
             edited: &edited,
-            text: &texts.join(" / "),
+            instructions: &instructions,
             system: &self.system_of(last),
             seed: Seed(last.map_or(0, |edit| edit.seed)),
         }
@@ -541,7 +560,10 @@ impl Interactive<'_> {
                 bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
             }
             _ => {
-                let asked = match line.starts_with(|first: char| first.is_ascii_digit()) {
+                let first = line.split_whitespace().next().unwrap_or_default();
+                let is_range =
+                    first.starts_with(|c: char| c.is_ascii_digit()) && first.contains(':');
+                let asked = match is_range {
                     true => line.parse().map_err(anyhow::Error::msg)?,
                     false => whole(line, &history.current()?),
                 };
@@ -590,34 +612,86 @@ struct Shown<'a> {
     skeleton: &'a Skeleton,
     original: &'a Motion,
     edited: &'a Edited,
-    text: &'a str,
+    instructions: &'a [&'a TimedInstruction],
     system: &'a SystemIdentity,
     seed: Seed,
 }
 
+/// What is written for an edit, by the end of the path's name.
+enum Form {
+    Amass,
+    Bvh,
+    Gltf,
+    Strip,
+    Png,
+    Gif,
+    Table,
+}
+
+impl Form {
+    fn of(out: &Path) -> anyhow::Result<Self> {
+        Ok(
+            match out.extension().and_then(|extension| extension.to_str()) {
+                Some("npz") => Self::Amass,
+                Some("bvh") => Self::Bvh,
+                Some("glb") => Self::Gltf,
+                Some("svg") => Self::Strip,
+                Some("png") => Self::Png,
+                Some("gif") => Self::Gif,
+                None => Self::Table,
+                Some(other) => bail!(
+                    "{} ends in .{other}; known are .npz, .bvh, .glb, .svg, .png, .gif, and a folder",
+                    out.display()
+                ),
+            },
+        )
+    }
+}
+
 impl Shown<'_> {
+    /// The frames of the only instruction, if it is about some of the original.
+    fn range(&self) -> Option<&Range<usize>> {
+        match self.instructions {
+            [only] if !self.is_whole(only) => Some(&only.frames),
+            _ => None,
+        }
+    }
+
+    /// Whether an instruction is about all frames. Later edits of a history change a motion of another length.
+    fn is_whole(&self, asked: &TimedInstruction) -> bool {
+        let lengths = [self.original.len(), self.edited.motion.len()];
+        asked.frames.start == 0 && lengths.contains(&asked.frames.end)
+    }
+
+    /// The instructions as one text. Several of them have their frames with them.
+    fn text(&self) -> String {
+        let is_one = self.instructions.len() == 1;
+        let asked = self.instructions.iter();
+        let lines = asked.map(|asked| match is_one || self.is_whole(asked) {
+            true => asked.text.clone(),
+            false => format!("{}:{} {}", asked.frames.start, asked.frames.end, asked.text),
+        });
+        lines.collect::<Vec<_>>().join(" / ")
+    }
+
     fn write(&self, out: &Path, global: &Global) -> anyhow::Result<()> {
         let skeleton = self.skeleton;
-        let edited = &self.edited.motion;
+        let (edited, text) = (&self.edited.motion, self.text());
         let rows = || {
             [
                 strip::Row::new("original", self.original, skeleton),
-                strip::Row::new(self.text, edited, skeleton),
+                strip::Row::new(&text, edited, skeleton),
             ]
         };
         let style = Style::default();
-        let bytes = match out.extension().and_then(|extension| extension.to_str()) {
-            Some("npz") => formats::write::amass::encode(edited, skeleton)?,
-            Some("bvh") => formats::write::bvh::encode(edited, skeleton).into_bytes(),
-            Some("glb") => formats::write::gltf::encode(edited, skeleton)?,
-            Some("svg") => strip::strip(&rows(), &style).into_bytes(),
-            Some("png") => raster::png(&strip::strip(&rows(), &style), 2.0)?,
-            Some("gif") => raster::gif(&rows(), 1.0)?,
-            None => return self.table(out, skeleton, global),
-            Some(other) => bail!(
-                "{} ends in .{other}; known are .npz, .bvh, .glb, .svg, .png, .gif, and a folder",
-                out.display()
-            ),
+        let bytes = match Form::of(out)? {
+            Form::Amass => formats::write::amass::encode(edited, skeleton)?,
+            Form::Bvh => formats::write::bvh::encode(edited, skeleton).into_bytes(),
+            Form::Gltf => formats::write::gltf::encode(edited, skeleton)?,
+            Form::Strip => strip::strip(&rows(), &style).into_bytes(),
+            Form::Png => raster::png(&strip::strip(&rows(), &style), 2.0)?,
+            Form::Gif => raster::gif(&rows(), 1.0)?,
+            Form::Table => return self.table(out, skeleton, global),
         };
         local::write(out, &bytes)
     }
@@ -625,18 +699,24 @@ impl Shown<'_> {
     /// Writes the original as an item without a target, and the edit of it, both at the edit's rate.
     fn table(&self, out: &Path, skeleton: &Skeleton, global: &Global) -> anyhow::Result<()> {
         let original = Resample::Exact.apply(self.original, self.edited.motion.fps())?;
-        let item = free_item(self.id, self.text, &original)?;
+        let text = self.text();
+        let item = free_item(self.id, &text, self.range(), &original)?;
         let Edited { motion, misfit, .. } = self.edited;
         let edit = self.system.row(&item, motion, *misfit, self.seed);
-        let plan = blake3::hash(format!("{} {} {edit:?}", self.id, self.text).as_bytes());
+        let plan = blake3::hash(format!("{} {text} {edit:?}", self.id).as_bytes());
         let holder = global.holder();
         commit_edits(out, &[item], &[edit], skeleton, &plan.to_hex(), &holder)?;
         Ok(())
     }
 }
 
-/// An item without a target.
-fn free_item(id: &str, text: &str, original: &Motion) -> anyhow::Result<ItemRow> {
+/// An item without a target, about these frames of the original or about all.
+fn free_item(
+    id: &str,
+    text: &str,
+    frames: Option<&Range<usize>>,
+    original: &Motion,
+) -> anyhow::Result<ItemRow> {
     // Histories of earlier versions have paths as ids. One that is no clip id is replaced by its hash.
     let source_id = MotionId::parse(id)
         .or_else(|_| MotionId::parse(&blake3::hash(id.as_bytes()).to_hex()))
@@ -648,6 +728,10 @@ fn free_item(id: &str, text: &str, original: &Motion) -> anyhow::Result<ItemRow>
         ..ItemRow::blank(&source_id, Split::Test)
     };
     item.set_motions(original, None, None);
+    if let Some(frames) = frames {
+        item.edit_start = Some(i32::try_from(frames.start)?);
+        item.edit_end = Some(i32::try_from(frames.end)?);
+    }
     item.id = item.content_id();
     Ok(item)
 }

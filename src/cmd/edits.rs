@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use datasets_spec::license::licenses;
 use datasets_spec::record::EditRow;
 use datasets_spec::{Dataset, Fps};
@@ -14,6 +14,7 @@ use serde_json::json;
 use crate::cmd::edit::system_name;
 use crate::evaluators::judge_hash;
 use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::global::{Global, one_of};
 use crate::{local, report};
 
@@ -135,27 +136,37 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         true => Some(answers.commit(&args.out, &items, &skeleton, &global.holder())?),
         false => None,
     };
-    // `out` and `root_hash` are null if nothing was written.
-    let own = json!({
+    let failed = written.is_none().then(|| {
+        let missing = report.missing.len();
+        let advice = match report.imported {
+            0 => "",
+            _ => "; answer them too, or pass --allow-missing to write the others",
+        };
+        anyhow!(
+            "nothing was written: {missing} of {} items have no answer{advice}",
+            report.items
+        )
+    });
+    // `out` and `root_hash` are null if nothing was written. The error is in the same document.
+    let mut own = json!({
         "system": args.name,
         "out": written.as_ref().map(|_| args.out.display().to_string()),
         "root_hash": written.as_ref().map(|made| &made.manifest().root_hash),
     });
+    if let Some(error) = &failed {
+        let failure = serde_json::to_value(Failure::of_error(error))?;
+        for (field, value) in failure.as_object().into_iter().flatten() {
+            own[field] = value.clone();
+        }
+    }
     let text = text(args, report, written.is_some());
     global.say_joined(own, report, &text)?;
     for warning in &report.warnings {
         report::note(&format!("warning: {warning}"));
     }
-    if written.is_none() {
-        bail!(
-            "nothing was written: {} of {} items have no answer{}",
-            report.missing.len(),
-            report.items,
-            match report.imported {
-                0 => "",
-                _ => "; answer them too, or pass --allow-missing to write the others",
-            }
-        );
+    if let Some(error) = failed {
+        report::error(&error);
+        return Ok(Exit::of_error(&error));
     }
     Ok(Exit::quarantined_if(!report.refused.is_empty()))
 }

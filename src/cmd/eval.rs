@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::ValueEnum as _;
 use datasets_spec::{Seed, Skeleton, Split};
 use eval::answers::{Answered, Scores};
@@ -90,7 +90,7 @@ struct EncoderArgs {
     #[arg(long, default_value = "test")]
     split: Split,
     #[command(flatten)]
-    measure: Measure,
+    ranking: Ranking,
 }
 
 /// Compare two systems item by item, with bootstrap intervals of their differences.
@@ -104,15 +104,12 @@ struct CompareArgs {
     measure: Measure,
 }
 
-/// Models and settings of the evaluation.
+/// The encoder, and how it ranks.
 #[derive(clap::Args, Debug)]
-struct Measure {
+struct Ranking {
     /// Run folder of the encoder, or `builtin`; not needed for Table A4
     #[arg(long, value_name = "RUN")]
     encoder: Option<PathBuf>,
-    /// Run folder of a coordinator, to also measure the share of each system's windows it classifies as composed
-    #[arg(long, value_name = "RUN")]
-    coordinator: Option<PathBuf>,
     /// Output format; --json prints the scores
     #[arg(long, value_enum, default_value_t = FormatArg::Text)]
     format: FormatArg,
@@ -125,6 +122,50 @@ struct Measure {
     /// Number of evaluations to average
     #[arg(long, default_value_t = Protocol::default().repeats)]
     repeats: usize,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+impl Ranking {
+    fn format(&self, global: &Global) -> FormatArg {
+        match global.json {
+            true => FormatArg::Json,
+            false => self.format,
+        }
+    }
+
+    fn protocol(&self, table: Option<PaperTable>, global: &Global) -> Protocol {
+        let default = Protocol::default();
+        Protocol {
+            gallery: match (self.full_gallery, self.gallery, table) {
+                (true, ..) => Gallery::Full,
+                (false, Some(size), _) => Gallery::Batches(size),
+                (false, None, Some(table)) => table.gallery(),
+                (false, None, None) => default.gallery,
+            },
+            repeats: self.repeats,
+            seed: global.seed(),
+            ..default
+        }
+    }
+
+    fn encoder(&self) -> anyhow::Result<&Path> {
+        self.device.choose()?;
+        let encoder = self.encoder.as_deref();
+        encoder.context(
+            "name the encoder to compare motions with: --encoder RUN, of `stance train tmr`, or --encoder builtin",
+        )
+    }
+}
+
+/// Models and settings of the evaluation.
+#[derive(clap::Args, Debug)]
+struct Measure {
+    #[command(flatten)]
+    ranking: Ranking,
+    /// Run folder of a coordinator, to also measure the share of each system's windows it classifies as composed
+    #[arg(long, value_name = "RUN")]
+    coordinator: Option<PathBuf>,
     /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and the
     /// default here, do the opposite)
     #[arg(long)]
@@ -155,28 +196,12 @@ struct Measure {
     floor: Option<f64>,
     #[command(flatten)]
     weak_judge: WeakJudgeArgs,
-    #[command(flatten)]
-    device: DeviceArgs,
 }
 
 impl Measure {
-    fn format(&self, global: &Global) -> FormatArg {
-        match global.json {
-            true => FormatArg::Json,
-            false => self.format,
-        }
-    }
-
     fn protocol(&self, table: Option<PaperTable>, global: &Global) -> Protocol {
-        let default = Protocol::default();
+        let ranking = self.ranking.protocol(table, global);
         Protocol {
-            gallery: match (self.full_gallery, self.gallery, table) {
-                (true, ..) => Gallery::Full,
-                (false, Some(size), _) => Gallery::Batches(size),
-                (false, None, Some(table)) => table.gallery(),
-                (false, None, None) => default.gallery,
-            },
-            repeats: self.repeats,
             queries: match self.transpose {
                 true => Queries::Edited,
                 false => Queries::Real,
@@ -186,26 +211,19 @@ impl Measure {
                 true => FidSample::All,
                 false => FidSample::Halves,
             },
-            floor: self.floor.map_or(default.floor, Floor::At),
+            floor: self.floor.map_or(ranking.floor, Floor::At),
             keypoints: self.keypoints,
             limit: self.items_limit.map(|items| Limit {
                 items,
                 seed: Seed(self.items_seed),
             }),
-            seed: global.seed(),
-            ..default
+            ..ranking
         }
     }
 
     fn runs(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
-        self.device.choose()?;
-        let Some(encoder) = &self.encoder else {
-            bail!(
-                "name the encoder to compare motions with: --encoder RUN, of `stance train tmr`, or --encoder builtin"
-            );
-        };
         Ok(EvaluatorRuns {
-            encoder,
+            encoder: self.ranking.encoder()?,
             coordinator: self.coordinator.as_deref(),
         })
     }
@@ -290,10 +308,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let Some(table) = args.table.scored() else {
         return timed(args, global);
     };
-    let format = args.measure.format(global);
+    let format = args.measure.ranking.format(global);
     let is_data = matches!(format, FormatArg::Json | FormatArg::Csv);
     if args.published && is_data {
-        bail!("scores as JSON or CSV make no use of --published; print them without");
+        bail!("{WITHOUT_PUBLISHED}");
     }
     let protocol = Protocol {
         interval: args.interval,
@@ -431,17 +449,18 @@ fn refuse_unused(args: &Args) -> anyhow::Result<()> {
         ("--interval", args.interval != usual.interval),
         ("--further", args.further),
         ("--out", args.out.is_some()),
-        ("--encoder", own.encoder.is_some()),
+        ("--encoder", own.ranking.encoder.is_some()),
         ("--coordinator", own.coordinator.is_some()),
-        ("--full-gallery", own.full_gallery),
-        ("--gallery", own.gallery.is_some()),
-        ("--repeats", own.repeats != usual.repeats),
+        ("--full-gallery", own.ranking.full_gallery),
+        ("--gallery", own.ranking.gallery.is_some()),
+        ("--repeats", own.ranking.repeats != usual.repeats),
         ("--transpose", own.transpose),
         ("--truncate", own.truncate),
         ("--fid-all", own.fid_all),
         ("--items-limit", own.items_limit.is_some()),
         ("--keypoints", own.keypoints != usual.keypoints),
         ("--floor", own.floor.is_some()),
+        ("--weak-judge", own.weak_judge.is_given()),
     ] {
         if is_given {
             bail!("Table A4 makes no use of {option}; print it without");
@@ -450,9 +469,16 @@ fn refuse_unused(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+const WITHOUT_PUBLISHED: &str =
+    "scores as JSON or CSV make no use of --published; print them without";
+
 /// Prints Table A4.
 fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     refuse_unused(args)?;
+    let format = args.measure.ranking.format(global);
+    if args.published && matches!(format, FormatArg::Json | FormatArg::Csv) {
+        bail!("{WITHOUT_PUBLISHED}");
+    }
     let names = local::names_of(&args.edits).into_iter();
     let mut rows: Vec<(String, WindowTimes)> = names
         .zip(&args.edits)
@@ -469,7 +495,7 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if args.published {
         rows.extend(times::published());
     }
-    if args.measure.format(global) == FormatArg::Json {
+    if args.measure.ranking.format(global) == FormatArg::Json {
         let row = |(name, times): &(String, WindowTimes)| {
             json!({
                 "name": name,
@@ -487,7 +513,9 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::json(&rows.iter().map(row).collect::<Vec<_>>())?;
     } else {
         let grids = times::tables(&rows);
-        let texts = grids.iter().map(|grid| printed(grid, args.measure.format));
+        let texts = grids
+            .iter()
+            .map(|grid| printed(grid, args.measure.ranking.format));
         report::text(&texts.collect::<Vec<_>>().join("\n"));
         if rows.iter().any(|(_, times)| !times.is_latency()) {
             report::note("a latency is timed by editing with --max-batch 1, into another folder");
@@ -497,6 +525,9 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 }
 
 fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
+    if args.measure.fid_all {
+        bail!("a comparison takes whole sets for FID in any case; leave --fid-all out");
+    }
     let protocol = args.measure.protocol(None, global);
     let runs = args.measure.runs()?;
     let (answered, names) = Answered::read_pair([&args.a, &args.b])?;
@@ -504,23 +535,27 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     let comparisons = runs.with(&answered.skeleton, |evaluators| {
         compare(&answered, names, evaluators, &protocol, &global.bars())
     })?;
-    let unranked = comparisons.iter().find_map(|found| found.unranked.clone());
+    // The table of all items decides, as in `stance eval`.
+    let of_all = comparisons.iter().find(|found| found.task == ALL_TASKS);
+    let unranked = of_all
+        .or(comparisons.first())
+        .and_then(|found| found.unranked.clone());
     let exit = args.measure.weak_judge.exit(unranked, Exit::Done);
     let said = |comparison: &Comparison| -> Vec<String> {
         let notes = comparison.notes.iter().cloned();
         notes.chain(comparison.claim()).collect()
     };
     let printed = |comparison: &Comparison| {
-        let mut text = printed(&comparison.grid(), args.measure.format);
+        let mut text = printed(&comparison.grid(), args.measure.ranking.format);
         for line in said(comparison) {
-            text += &match args.measure.format {
+            text += &match args.measure.ranking.format {
                 FormatArg::Latex => format!("% {line}\n"),
                 _ => format!("\n{line}\n"),
             };
         }
         text
     };
-    match args.measure.format(global) {
+    match args.measure.ranking.format(global) {
         FormatArg::Json => report::json(&comparisons)?,
         FormatArg::Csv => {
             report::text(&Comparison::csv(&comparisons));
@@ -543,9 +578,9 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
 const CHANCE: &str = "random order";
 
 fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
-    let protocol = args.measure.protocol(None, global);
-    let runs = args.measure.runs()?;
-    let measured = encoder_retrieval(&args.dataset, runs.encoder, args.split, &protocol)?;
+    let protocol = args.ranking.protocol(None, global);
+    let run = args.ranking.encoder()?;
+    let measured = encoder_retrieval(&args.dataset, run, args.split, &protocol)?;
     let (n, repeats) = (measured.clips, &measured.repeats);
     type Side = fn(&CrossRetrieval) -> &Retrieval;
     type Column = fn(&Retrieval) -> f64;
@@ -571,11 +606,13 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
     found.extend(
         by_chance.map(|((metric, _), mean)| (CHANCE, metric, Interval { mean, ci95: None })),
     );
-    if args.measure.format(global) == FormatArg::Json {
+    let gallery = protocol.gallery_name(n);
+    if args.ranking.format(global) == FormatArg::Json {
         let row = |(queries, metric, Interval { mean, ci95 }): (&str, &str, Interval)| {
             json!({
                 "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95,
-                "texts": measured.texts, "encoder_hash": measured.encoder_hash,
+                "texts": measured.texts, "encoder_hash": measured.encoder_hash, "split": args.split.as_str(),
+                "gallery": gallery, "repeats": protocol.repeats, "seed": protocol.seed.0,
             })
         };
         report::json(&found.into_iter().map(row).collect::<Vec<_>>())?;
@@ -594,17 +631,17 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
     };
     let grid = format::grid::Grid {
         title: format!(
-            "{n} clips of {} with {} different captions, ± over {} repeats; {}; encoder {:.12}",
-            args.split,
-            measured.texts,
-            protocol.repeats,
-            protocol.gallery_name(n),
-            measured.encoder_hash
+            "{n} clips of {} with {} different captions, ± over {} repeats, seed {}; {gallery}; encoder {:.12}",
+            args.split, measured.texts, protocol.repeats, protocol.seed.0, measured.encoder_hash
         ),
         head: head.map(str::to_owned).collect(),
         rows: found.chunks(columns.len()).map(row).collect(),
     };
-    report::text(&printed(&grid, args.measure.format));
+    report::text(&printed(&grid, args.ranking.format));
+    if args.ranking.format == FormatArg::Csv {
+        // CSV has no place for a title.
+        report::note(&grid.title);
+    }
     Ok(Exit::Done)
 }
 

@@ -5,7 +5,7 @@ mod words;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::builder::{OsStringValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
 use clip::check::Teleports;
 use datasets_spec::record::MotionRow;
@@ -93,8 +93,8 @@ pub(crate) struct Args {
     /// Remove clips whose files are missing or no longer contain them
     #[arg(long)]
     prune: bool,
-    /// Continue even if masks or pairs are lost because their clips changed or were removed; the previous version keeps
-    /// them
+    /// Continue even if masks or pairs are lost because their clips changed or were removed, or captions, performers,
+    /// actions and styles because the files of their clips no longer give them; the previous version keeps all of these
     #[arg(long)]
     drop_labels: bool,
     /// Pairs to add: lines of styled clip, original clip, style and text, and optionally kind (style or fine-grained),
@@ -221,6 +221,9 @@ fn parse_allowance(text: &str) -> Result<Allowance, String> {
 
 impl Args {
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
+        if self.allow_quarantine.is_some() {
+            bail!("a plan makes no use of --allow-quarantine; leave it out");
+        }
         let (options, bars) = (options(self, global)?, global.bars());
         let made = plan_ingest(&self.sources, &self.out, &options, plan, &bars)?;
         Ok(made)

@@ -66,6 +66,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let dataset = args.chosen.open(&args.dataset)?;
         let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?)?;
         local::write(file, lines.as_bytes())?;
+        if global.json {
+            report::json(&json!({ "out": file, "drafts": lines.lines().count() }))?;
+        }
         report::note(&format!(
             "{} drafts; set `verdict` to accept or reject, then: stance masks {} --accept {} --author NAME",
             lines.lines().count(),
@@ -105,7 +108,7 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
     let (mut motions, mut contents) = (BTreeMap::new(), BTreeMap::new());
     for row in dataset.read::<MotionRow>(None)? {
         contents.insert(row.id.clone(), row.content_hash);
-        motions.insert(row.id, (row.split, row.n_frames));
+        motions.insert(row.id, (row.split, row.n_frames, f64::from(row.fps)));
     }
     let masks: Vec<MaskRow> = dataset.read(None)?;
     let taken = match annotate::accept(&lines, author, &masks, &motions) {

@@ -8,11 +8,11 @@ use datasets_spec::{Dataset, Progress, Seed, Skeleton};
 use kinematics::normalise::Normalizer;
 use remote_store::hub::Hub;
 use serde::{Deserialize, Serialize};
-use train::checkpoint::Slot;
+use train::checkpoint::{SkeletonId, Slot};
 use train::compose::ComposeRecord;
 use train::config::{BertVectors, Preset, TrainConfig};
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
-use train::exchange::{self, MdmArgs, TextSide};
+use train::exchange::{self, Exported, MdmArgs, NetworkRecord, TextSide};
 use train::features::{FeatureRecipe, FeatureStats};
 use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
@@ -154,11 +154,13 @@ struct ImportArgs {
     /// Network in the checkpoint
     #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
     model: Model,
-    /// Settings that an editor or a coordinator was made with [default: official]
+    /// Settings that an editor or a coordinator was made with [default: those of the settings.json of `stance model
+    /// export` beside the file, or official]
     #[arg(long, value_parser = one_of(PRESETS))]
     preset: Option<Preset>,
-    /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export`
-    #[arg(long, value_name = "FILE", required_unless_present = "stats")]
+    /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export` [default: that of the
+    /// settings.json beside the file]
+    #[arg(long, value_name = "FILE")]
     range: Option<PathBuf>,
     /// Features of an evaluation encoder
     #[arg(long, value_parser = one_of(FEATURES), required_if_eq("model", "tmr"), requires = "stats")]
@@ -181,7 +183,7 @@ struct ImportArgs {
     device: DeviceArgs,
 }
 
-/// Write the network of a run as safetensors under the released names, with its normaliser beside it.
+/// Write the network of a run as safetensors under the released names, with its normaliser and settings beside it.
 #[derive(clap::Args, Debug)]
 struct ExportArgs {
     /// Run folder of an editor or a coordinator
@@ -189,7 +191,7 @@ struct ExportArgs {
     /// Checkpoint to write: best, last or epoch-N
     #[arg(long, default_value = "best")]
     checkpoint: Slot,
-    /// Folder to write to
+    /// Folder to write
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
 }
@@ -349,36 +351,62 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
         Model::Tmed => return import_motionfix(args, stats()?),
         Model::Motionrefit | Model::Coordinator => {}
     }
-    let Some(range_file) = &args.range else {
-        bail!("the normaliser is missing: --range norm_scaled.npy");
+    let stated = Exported::beside(&args.file)?;
+    if stated.is_some() && args.preset.is_some() {
+        bail!("the settings.json beside the file states its settings; leave --preset out");
+    }
+    let normalizer = match (&args.range, &stated) {
+        (Some(file), _) => range(file)?,
+        (None, Some(stated)) => *stated.network.normalizer(),
+        (None, None) => bail!("the normaliser is missing: --range norm_scaled.npy"),
     };
     let preset = args.preset.unwrap_or(Preset::Official);
     let weights = weights(&args.file, &StateDictOptions::default())?;
-    let normalizer = range(range_file)?;
     // The released models were trained on the male body; this program gives them motions on its own skeleton.
-    let skeleton = Skeleton::smplx_neutral();
+    let released = || SkeletonId::from(&Skeleton::smplx_neutral());
+    let (skeleton, stated) = match stated {
+        Some(stated) => (stated.skeleton, Some(stated.network)),
+        None => (released(), None),
+    };
     let compose = ComposeRecord {
         config: TrainConfig::compose_preset(preset),
         seed: Seed(0),
     };
     let (out, file) = (&args.out, &args.file);
-    if args.model == Model::Coordinator {
-        let record = CoordinatorRecord {
+    let record = match (args.model, stated) {
+        (Model::Coordinator, Some(NetworkRecord::Coordinator(stated))) => CoordinatorRecord {
+            normalizer,
+            ..*stated
+        },
+        (Model::Coordinator, None) => CoordinatorRecord {
             train: CoordinatorConfig::preset(preset),
             normalizer,
             compose,
-        };
-        exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
-        return Ok(());
-    }
-    let record = EditorRecord {
-        train: TrainConfig::preset(preset),
-        normalizer,
-        text: clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
-        compose,
-        extrapolation: None,
+        },
+        (_, stated) => {
+            let record = match stated {
+                Some(NetworkRecord::Motionrefit(stated)) if args.model == Model::Motionrefit => {
+                    EditorRecord {
+                        normalizer,
+                        ..*stated
+                    }
+                }
+                Some(_) => {
+                    bail!("the settings.json beside the file is of another network than --model")
+                }
+                None => EditorRecord {
+                    train: TrainConfig::preset(preset),
+                    normalizer,
+                    text: clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
+                    compose,
+                    extrapolation: None,
+                },
+            };
+            exchange::import_editor(out, &record, skeleton, weights, file, &device())?;
+            return Ok(());
+        }
     };
-    exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
+    exchange::import_coordinator(out, &record, skeleton, weights, file, &device())?;
     Ok(())
 }
 

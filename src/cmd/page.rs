@@ -21,6 +21,7 @@ use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs};
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::stages::UnknownWords;
 use crate::{local, stages};
 
 /// Write one HTML file with the tables, and a 3D viewer of all systems side by side.
@@ -191,7 +192,7 @@ fn settings_of(edits: &[EditFacts]) -> BTreeMap<&str, Value> {
 /// The first edit on a page: [`best_edit`], between its source and its target. `None` if there is no best edit.
 pub(crate) fn opening(
     answered: &Answered,
-    unknown: &BTreeSet<String>,
+    unknown: &UnknownWords,
 ) -> anyhow::Result<Option<Opening>> {
     let Some(best) = best_edit(answered)? else {
         return Ok(None);
@@ -210,7 +211,7 @@ pub(crate) fn strip_of(
     item: &ItemRow,
     made: &[EditRow],
     skeleton: &Skeleton,
-    unknown: &BTreeSet<String>,
+    unknown: &UnknownWords,
 ) -> anyhow::Result<Strip> {
     let made = made.iter().map(|row| (row.system.clone(), row));
     let mut rows = rows_of(item, made, skeleton)?;
@@ -240,7 +241,7 @@ fn rows_of<'a>(
 fn marked_strip(
     item: &ItemRow,
     mut rows: Vec<Row>,
-    unknown: &BTreeSet<String>,
+    unknown: &UnknownWords,
 ) -> anyhow::Result<Strip> {
     let edited = item.edited_joints()?;
     for row in &mut rows {
@@ -252,10 +253,14 @@ fn marked_strip(
     );
     let instruction = item.instruction.to_lowercase();
     let words = instruction.split(|letter: char| !letter.is_alphanumeric());
-    let words: BTreeSet<&str> = words.filter(|word| unknown.contains(*word)).collect();
-    if !words.is_empty() {
-        let words = Vec::from_iter(words).join(", ");
-        note += &format!("; never seen in training: {words}");
+    let words: BTreeSet<&str> = words.collect();
+    let unseen = words.into_iter().filter_map(|word| {
+        let systems = Vec::from_iter(unknown.get(word)?.iter().map(String::as_str));
+        Some(format!("{word} (by {})", systems.join(", ")))
+    });
+    let unseen: Vec<String> = unseen.collect();
+    if !unseen.is_empty() {
+        note += &format!("; never seen in training: {}", unseen.join(", "));
     }
     Ok(Strip {
         caption: item.instruction.clone(),

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use datasets_spec::record::{EditRow, ItemRow};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::evaluate::Bench;
 use crate::util::{
@@ -212,7 +212,13 @@ fn the_sources_of_items_score_as_the_identity_and_what_cannot_be_imported_is_nam
         let to = format!("--out @imported {more}");
         import(&bench, "answers", "TMED", &to)
     };
-    run("").expect_refused("2 of 24 items have no answer");
+    let ran = run("").expect_refused("2 of 24 items have no answer");
+    let refused: Value = ran.json();
+    assert_eq!(refused["code"], "E-FAILED");
+    assert_eq!(
+        (&refused["imported"], &refused["out"]),
+        (&json!(22), &json!(null))
+    );
     assert!(!out.exists(), "nothing is written");
     let report: Value = run("--allow-missing").expect_code(3).json();
     let refused = &report["refused"];

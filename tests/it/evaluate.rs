@@ -212,6 +212,14 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert!(is_chance, "{by_chance:?}");
     assert!(number_of(&fit[10]["texts"]) <= clips);
     assert_eq!(fit[10]["encoder_hash"], both[0]["encoder_hash"]);
+    assert_eq!(
+        (&fit[0]["split"], &fit[0]["seed"]),
+        (&json!("test"), &json!(0))
+    );
+    // Options that it would ignore are unknown to it.
+    bench
+        .typed("eval encoder @dataset --encoder @encoder --truncate")
+        .expect_code(2);
 
     // A caption of a part of a clip is measured with that part alone, and one of no frame is left out and counted.
     let mut rows: Vec<MotionRow> = bench.rows("dataset");

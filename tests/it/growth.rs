@@ -14,7 +14,7 @@ use crate::grown::{
     refused, verified,
 };
 use crate::util::{
-    Folder, arg, assert_has, assert_tells, files_with_extension, len_of, manifest_of, put,
+    Folder, arg, assert_has, assert_tells, files_with_extension, json_of, len_of, manifest_of, put,
     root_hash_of, rows_of, stance, typed,
 };
 
@@ -222,9 +222,11 @@ fn captions_that_change_are_read_again_and_other_settings_are_named() {
     let (_dir, source, _, dataset) = begun_with_half(16);
     let (before, judged) = (clips(&dataset), judge(&dataset));
     let file = &files(&source)[0];
-    let text =
-        r#"{"captions": [{"text": "a person is new", "tokens": "", "from_s": 0, "to_s": 0}]}"#;
-    put(file.with_extension("stance.json"), text);
+    let sidecar = file.with_extension("stance.json");
+    let mut labels: Value = json_of(&sidecar);
+    labels["captions"] =
+        json!([{ "text": "a person is new", "tokens": "", "from_s": 0, "to_s": 0 }]);
+    put(&sidecar, labels.to_string());
     let grown = ingest(&[&source], &dataset, &[], 0);
     assert_eq!(len_of(&grown["growth"]["read_again"]), 1);
     assert_eq!(grown["growth"]["kept"], before.len() - 1);

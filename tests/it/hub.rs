@@ -345,7 +345,7 @@ fn what_may_not_be_passed_on_is_refused() {
     run_folder(&hub.path("run"), &hash);
     hub.push_refused("@run lab/editor", "--dataset");
     let push = format!("@run lab/editor --license {tag} --dataset");
-    hub.push_refused(&format!("{push} @unstated"), "other tables");
+    hub.push_refused(&format!("{push} @unstated"), "other rows");
     hub.push(&format!("{push} @restricted"));
     let card = hub.card("models/lab/editor");
     assert_has(&card, &[tag, &data.manifest().root_hash]);

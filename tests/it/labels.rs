@@ -223,6 +223,30 @@ fn git_lfs_pointers_cost_no_clip_and_no_label() {
 }
 
 #[test]
+fn descriptions_do_not_leave_with_their_files_unless_that_is_allowed() {
+    let sources = Sources::new();
+    sources.motions("a b");
+    sources.write("stance.toml", "subject = 'anna'\n");
+    sources.write("captions.csv", "clip,text,style\na,he leaves,old\n");
+    let (_, before) = sources.ingest("out", "");
+    assert_eq!(texts(&before["a"]), ["he leaves"]);
+    // Texts that change are replaced.
+    sources.write("captions.csv", "clip,text,style\na,he comes back,old\n");
+    let (_, before) = sources.ingest("out", "");
+    assert_eq!(texts(&before["a"]), ["he comes back"]);
+    for file in ["captions.csv", "stance.toml"] {
+        fs::remove_file(sources.path("in").join(file)).expect("removed");
+    }
+    let refused = sources.ran("out", "").expect_refused("--drop-labels");
+    refused.expect_said("captions of a, style of a, subject of a and 1 more");
+    assert_eq!(motions_of(&sources.path("out")), before);
+    let (grown, after) = sources.ingest("out", "--drop-labels");
+    let lost = texts_in(&grown["growth"]["lost"], "table");
+    assert_eq!(lost, ["captions", "style", "subject", "subject"]);
+    assert!(after["a"].captions.is_empty() && after["b"].subject.is_none());
+}
+
+#[test]
 fn names_of_motions_that_are_left_out_are_known_to_label_files() {
     let sources = Sources::new();
     sources.motions("walk run sit");
@@ -338,6 +362,26 @@ fn licences_are_found_in_the_sources_and_travel() {
     let croissant: Value = json_of(sources.path("out/croissant.json"));
     let url = "https://spdx.org/licenses/CC-BY-NC-4.0.html";
     assert_eq!(croissant["license"][1], url);
+    let clips = |set: &&Value| {
+        set["name"]
+            .as_str()
+            .is_some_and(|name| name.starts_with("motions"))
+    };
+    let clips = croissant["recordSet"]
+        .as_array()
+        .and_then(|sets| sets.iter().find(clips));
+    let described = clips.expect("clips")["description"].to_string();
+    assert_has(&described, &["cannot describe", "captions"]);
+
+    // The card of a dataset states no licence for clips that have none.
+    sources.run("ingest @in --out @some");
+    sources.run("ingest @some --out @copy");
+    let of = |dataset: &str| -> Vec<Option<String>> {
+        let rows = motions_of(&sources.path(dataset)).into_values();
+        rows.map(|row| row.license).collect()
+    };
+    assert!(of("some").contains(&None));
+    assert_eq!(of("copy"), of("some"));
 
     // Later stages keep the licences on the card.
     sources.run("masks @out");

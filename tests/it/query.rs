@@ -268,6 +268,21 @@ fn a_query_answers_as_a_table_json_csv_and_parquet_and_asks_several_datasets() {
     let expected = clips.iter().map(secs).sum::<f64>() / 3600.0;
     assert!((hours - expected).abs() < 1e-9, "{hours} {expected}");
 
+    // Groups come in a fixed order, and no part of them is taken without one.
+    let grouped = asked("SELECT id, count(*) AS n FROM motions GROUP BY id");
+    let ids: Vec<&str> = grouped
+        .iter()
+        .filter_map(|row| row["id"].as_str())
+        .collect();
+    assert!(ids.len() == clips.len() && ids.is_sorted(), "{ids:?}");
+    // Nor does the order of groups that are equal in it change.
+    let tied = asked("SELECT id, count(*) AS n FROM motions GROUP BY id ORDER BY n LIMIT 3");
+    assert_eq!(tied, grouped[..3]);
+    let some =
+        "SELECT n_frames FROM motions WHERE id IN (SELECT id FROM motions GROUP BY id LIMIT 2)";
+    let refused = dir.typed_with("query @dataset", &[some]);
+    refused.expect_code(1).expect_said("add an ORDER BY");
+
     // One row with structs.
     let first = asked("SELECT quality FROM motions ORDER BY id LIMIT 1");
     assert!(first[0]["quality"].is_object(), "{first:?}");

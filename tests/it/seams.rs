@@ -188,6 +188,12 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     let ran = workshop.run(&line);
     let said: Value = ran.json();
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
+    let items: Vec<ItemRow> = workshop.rows("said");
+    items[0].check().expect("named by its content");
+    assert_eq!(
+        (items[0].edit_start, items[0].edit_end),
+        (Some(20), Some(30))
+    );
     ran.expect_said("never seen levitate, ultrasonically");
 
     // The published fit needs its network; the rows record that it was used.

@@ -78,10 +78,33 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
     assert_eq!(lacking.count(), without);
     let card = dir.text("dataset/README.md");
     assert_has(&card, &["drawn by subject"]);
+    let parted = || -> Vec<Value> {
+        let (_, query) = card.split_once("stance query DATASET \"").expect("a query");
+        let (query, _) = query.split_once('"').expect("its end");
+        dir.typed_with("--json query @dataset", &[query]).done()
+    };
+    assert_eq!(parted(), [Value::Null; 0]);
     // The dataset keeps the unit by which its splits were drawn.
     let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);
     assert_tells(&other["remarks"], "were drawn by subject");
     assert_eq!(of_subjects(), after);
+    // A clip keeps its split if its label is corrected, and the query of the card names its subject then.
+    let named = rows.iter().filter(|row| row.subject.is_some());
+    let [train, other] = [true, false].map(|is_train| {
+        let mut of_split = named
+            .clone()
+            .filter(|row| (row.split == Split::Train) == is_train);
+        of_split.next().expect("a clip")
+    });
+    let sidecar = source
+        .join(Path::new(&other.source_path))
+        .with_extension("stance.json");
+    let mut labels: Value = json_of(&sidecar);
+    labels["subject"] = json!(train.subject);
+    put(&sidecar, labels.to_string());
+    ingest(&[&source], &dataset, &[], 0);
+    let names: Vec<Value> = parted().iter().map(|row| row["subject"].clone()).collect();
+    assert_eq!(names, [json!(train.subject)]);
 }
 
 #[test]

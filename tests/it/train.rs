@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, OnceLock, Weak};
 
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::store::{Disk, Store};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::evaluate::SMALL_ENCODER;
 use crate::util::{
@@ -444,6 +444,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     for (more, reason, code) in [
         ("--during nonsense", "FIRST:END TEXT", 2),
         ("--during '0:900000 wave'", "does not fit", 1),
+        ("--text ''", "the instruction is empty", 2),
         ("", "what is asked", 1),
         ("--text wave --coordinator @misfit", "another diffusion", 1),
     ] {
@@ -451,6 +452,11 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         ran.expect_code(code).expect_said(reason);
     }
     assert!(!workshop.path("none.bvh").exists());
+    // A path that cannot be written is refused before the edit is made.
+    workshop.refused(
+        &format!("{edit} --text wave --out @none.mp4"),
+        ".mp4; known are",
+    );
 
     check_history(&workshop, row);
 }
@@ -559,9 +565,7 @@ fn tensors(path: &Path) -> Vec<(String, Vec<u8>)> {
 #[test]
 fn networks_go_out_under_the_released_names_and_come_back() {
     let workshop = Workshop::open();
-    // An import expects the sizes of the preset.
-    let settings = "val_every = 2\nval_windows = 8\nlog_every = 2\nbatch_size = 8\n";
-    workshop.trained("coordinator", "guide", settings, "--steps 2");
+    workshop.trained("coordinator", "guide", SMALL, "--steps 2");
     workshop.run("model export @guide --out @out");
     let exported = tensors(&workshop.path("out/coordinator.safetensors"));
     let names: Vec<&str> = exported.iter().map(|(name, _)| name.as_str()).collect();
@@ -575,10 +579,31 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     }
     let import = |file: &str| {
         workshop.typed(&format!(
-            "model import @{file} --model coordinator --preset tiny --range @out/range.json --out @back"
+            "model import @{file} --model coordinator --out @back"
         ))
     };
+    workshop.refused("model export @guide --out @out", "not empty");
+    let other = "model import @out/coordinator.safetensors --out @other";
+    workshop.refused(other, "another network");
     import("out/coordinator.safetensors").expect_code(0);
+    // The settings come back too: the preset has other numbers of heads and layers.
+    for part in ["train", "normalizer", "compose"] {
+        let of = |run: &str| workshop.record(run)["config"][part].clone();
+        assert!(of("guide").is_object(), "{part}");
+        assert_eq!(of("back"), of("guide"), "{part}");
+    }
+    import("out/coordinator.safetensors --preset tiny").expect_refused("leave --preset out");
+    // A network of another skeleton stays one.
+    copy_all(&workshop.path("out"), &workshop.path("ours"));
+    let mut stated: Value = json_of(workshop.path("ours/settings.json"));
+    stated["skeleton"] = json!({"name": "ours", "hash": "ab"});
+    workshop.put("ours/settings.json", stated.to_string());
+    workshop.run("model import @ours/coordinator.safetensors --model coordinator --out @third");
+    let record = workshop.record("third");
+    assert_eq!(
+        [&record["skeleton"], &record["skeleton_hash"]],
+        ["ours", "ab"]
+    );
     let [guide, back] = ["guide", "back"].map(|run| {
         let best = workshop.path(run).join("checkpoint/best");
         tensors(&best.join("coordinator.safetensors"))
@@ -594,18 +619,19 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     let bias = file.tensor("pred.2.bias").expect("a tensor").data();
     let place = bias.as_ptr().addr() - bytes.as_ptr().addr();
     bytes[place] ^= 1;
-    workshop.put("other.safetensors", bytes);
-    import("other.safetensors").expect_refused("holds the import of another file");
+    workshop.put("out/other.safetensors", bytes);
+    import("out/other.safetensors").expect_refused("holds the import of another file");
     for unused in ["--heads 2", "--stats nowhere", "--text-encoder nowhere"] {
         let option = unused.split(' ').next().expect("an option");
         let no_use = format!("the import of coordinator makes no use of {option}");
-        import(&format!("other.safetensors {unused}")).expect_refused(&no_use);
+        import(&format!("out/other.safetensors {unused}")).expect_refused(&no_use);
     }
     workshop.put("broken.pth", b"PK\x03\x04 no archive");
-    import("broken.pth").expect_refused("broken.pth");
+    import("broken.pth --range @out/range.json").expect_refused("broken.pth");
     let turned = r#"{"min": [1, 1, 1], "max": [-1, 2, 2]}"#;
-    workshop.put("out/range.json", turned);
-    import("out/coordinator.safetensors").expect_refused("min must be below max");
+    workshop.put("turned.json", turned);
+    let range = "out/coordinator.safetensors --range @turned.json";
+    import(range).expect_refused("min must be below max");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow, SkippedRow};
-use datasets_spec::{Dataset, Split};
+use datasets_spec::{Dataset, Split, Transaction};
 use serde_json::{Value, json};
 
 use super::grown::{
@@ -70,7 +70,10 @@ fn a_search_for_parquet_files_finds_current_rows_alone_whatever_was_done() {
     check("remove");
     // Old versions go when asked, and the newest stays as it is.
     let newest = manifest_of(&dataset);
+    // A dry run also answers while another run writes.
+    let held = Transaction::begin(&dataset, "another run").expect("a lock");
     let asked = done("prune", &dataset, &["--keep", "1", "--dry-run"]);
+    drop(held);
     let pruned = done("prune", &dataset, &["--keep", "1"]);
     assert_eq!(asked["files"], pruned["files"]);
     assert!(pruned["files"].as_u64() > Some(0));
@@ -314,7 +317,9 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     let remove = ["dataset", "remove", arg(&dataset), "--ids", arg(&list)];
     let refused = stance(&remove).refusal();
     assert_has(&refused, &["--drop-labels", &labelled]);
+    let held = Transaction::begin(&dataset, "another run").expect("a lock");
     let asked = done("remove", &dataset, &["--ids", arg(&list), "--dry-run"]);
+    drop(held);
     let is_lost = |mask: &&MaskRow| mask.motion_id.as_str() == labelled;
     let lost = judged.values().filter(is_lost).count();
     assert_eq!(len_of(&asked["lost"]), lost);

@@ -153,7 +153,7 @@ pub fn generated_row(
 }
 
 /// Groups the variants among the motions of a dataset: motions whose ids share a folder, `base/variant`. A folder with
-/// a single motion is not a group.
+/// a single motion is not a group. The variants of a base are pairs of one split: that of the first.
 pub fn groups_of_motions(rows: Vec<MotionRow>) -> Vec<VariantGroup> {
     let mut groups: BTreeMap<String, VariantGroup> = BTreeMap::new();
     let mut rows: Vec<MotionRow> = rows
@@ -161,7 +161,7 @@ pub fn groups_of_motions(rows: Vec<MotionRow>) -> Vec<VariantGroup> {
         .filter(|row| row.mirrored_of.is_none())
         .collect();
     rows.sort_by(|a, b| a.id.cmp(&b.id));
-    for row in rows {
+    for mut row in rows {
         let Some((base, _)) = row.id.as_str().rsplit_once('/') else {
             continue;
         };
@@ -174,6 +174,9 @@ pub fn groups_of_motions(rows: Vec<MotionRow>) -> Vec<VariantGroup> {
             base,
             variants: Vec::new(),
         });
+        if let Some(first) = group.variants.first().and_then(|first| first.row.as_ref()) {
+            row.split = first.split;
+        }
         group.variants.push(Variant {
             row: Some(row),
             bone_drift_m: 0.0,

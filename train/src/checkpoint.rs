@@ -34,7 +34,8 @@ use crate::error::json_error;
 
 use self::events::EVENTS;
 pub use self::record::{
-    Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of, read_any,
+    Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, SkeletonId, check_skeleton,
+    check_skeleton_of, read_any,
 };
 pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
 use self::record::{differences, parse_record, text_of, to_value};
@@ -420,21 +421,37 @@ fn append(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     appended.map_err(Error::io("append to", path))
 }
 
-/// Reads and checks a checkpoint of a run. `None` if there is none yet.
+/// Reads and checks a checkpoint of a run, also while a training replaces it. `None` if there is none yet.
 pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
+    let mut before = None;
+    loop {
+        let Some(place) = place_of(run_dir, slot) else {
+            return Ok(None);
+        };
+        let path = place.join(MANIFEST);
+        let text = fs::read(&path).map_err(Error::io("read", &path));
+        let manifest = text.as_ref().ok().cloned();
+        let files = text.and_then(|text| listed(&place, &text));
+        // A replaced checkpoint has another manifest; a damaged one has the same when it is read again.
+        if files.is_ok() || before.as_ref() == Some(&manifest) {
+            return files.map(Some);
+        }
+        before = Some(manifest);
+    }
+}
+
+/// The folder that holds a checkpoint of a run.
+fn place_of(run_dir: &Path, slot: Slot) -> Option<PathBuf> {
     let parent = run_dir.join("checkpoint");
     let place = parent.join(slot.name());
     let old = parent.join(format!(".{}.old", slot.name()));
-    let place = if place.exists() {
-        place
-    } else if old.exists() {
-        old
-    } else {
-        return Ok(None);
-    };
-    let path = place.join(MANIFEST);
-    let text = fs::read(&path).map_err(Error::io("read", &path))?;
-    let manifest: Manifest = serde_json::from_slice(&text).map_err(json_error(&path))?;
+    [place, old].into_iter().find(|place| place.exists())
+}
+
+/// Reads and checks the files that a manifest lists.
+fn listed(place: &Path, manifest: &[u8]) -> Result<Files, Error> {
+    let manifest: Manifest =
+        serde_json::from_slice(manifest).map_err(json_error(&place.join(MANIFEST)))?;
     let mut files = Files::new();
     for (name, entry) in manifest.files {
         let path = place.join(&name);
@@ -451,7 +468,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
         }
         files.insert(name, bytes);
     }
-    Ok(Some(files))
+    Ok(files)
 }
 
 /// A checkpoint of a run with the run's record.
@@ -558,7 +575,7 @@ fn check_changes<'a>(
         remedy: if start.extend {
             "--extend changes length, rates and intervals alone"
         } else if may_change(field) {
-            "continue it with --extend, or with the settings it began with, or choose another folder"
+            "continue it with `stance train --extend`, or with the settings it began with, or choose another folder"
         } else {
             "continue it with the settings it began with, or choose another folder"
         },

@@ -71,13 +71,18 @@ fn open(
     }
     check_guided_steps(&editor, config)?;
     let settings = settings(&editor, config);
+    let mut document = settings_document(&editor, source.slot, &settings);
+    let encoder = editor.record().config.train.text.encoder;
+    if let Some(added) = source.text_encoder.added_vectors(&source.run, encoder)? {
+        document["text_vectors"] = added.into();
+    }
     let identity = SystemIdentity {
         name: config
             .name
             .clone()
             .unwrap_or_else(|| system_name(&editor, source.slot, &settings)),
         checkpoint_hash: editor.hash().to_owned(),
-        settings: settings_document(&editor, source.slot, &settings).to_string(),
+        settings: document.to_string(),
     };
     Ok(Box::new(MotionRefitSystem {
         editor,
@@ -90,9 +95,10 @@ fn open(
 
 /// Refuses to guide more steps than the diffusion has, or than the coordinator was trained for.
 fn check_guided_steps(editor: &Editor, config: &EditConfig) -> Result<(), Error> {
-    let Some((limit, steps)) = editor.guided_steps().zip(config.coordinator_steps) else {
+    let Some(limit) = editor.guided_steps() else {
         return Ok(());
     };
+    let steps = settings(editor, config).coordinator.num_steps;
     let problem = format!("it is {steps}, and the coordinator can guide the last {limit} steps");
     ensure(steps <= limit, "coordinator_steps", problem)
 }

@@ -4,16 +4,19 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
-use datasets_spec::store::{Disk, Store};
+use datasets_spec::store::{Disk, Store, if_exists};
 use kinematics::normalise::Normalizer;
 use pickle::{self, Value, npy};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use work::NewFolder;
 
 use crate::Error;
-use crate::checkpoint::{self, Files, Run, RunRecord, Slot, open_for_use, take, write_atomically};
+use crate::checkpoint::{
+    self, Files, Run, RunRecord, SkeletonId, Slot, open_for_use, take, write_atomically,
+};
 use crate::config::{BertVectors, NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
 use crate::error::json_error;
@@ -42,6 +45,49 @@ const TABLES: [&str; 4] = [
 ];
 
 const RANGE: &str = "range.json";
+const SETTINGS: &str = "settings.json";
+
+/// Record of an exported network: what its tensors do not tell.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Exported {
+    /// The skeleton that it was trained on.
+    pub skeleton: SkeletonId,
+    /// Its settings, such as the number of heads, the window and the noise schedule, and its normaliser.
+    pub network: NetworkRecord,
+}
+
+/// Record of a network of one kind.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NetworkRecord {
+    /// Record of an editor.
+    Motionrefit(Box<EditorRecord>),
+    /// Record of a coordinator.
+    Coordinator(Box<CoordinatorRecord>),
+}
+
+impl Exported {
+    /// The record that [`export`] wrote beside a file of weights; `None` if there is none.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds something else.
+    pub fn beside(weights: &Path) -> Result<Option<Self>, Error> {
+        let path = weights.with_file_name(SETTINGS);
+        let text = if_exists(std::fs::read(&path)).map_err(Error::io("read", &path))?;
+        let record = text.map(|text| serde_json::from_slice(&text));
+        record.transpose().map_err(json_error(&path))
+    }
+}
+
+impl NetworkRecord {
+    /// The normaliser of the network's windows.
+    pub fn normalizer(&self) -> &Normalizer {
+        match self {
+            Self::Motionrefit(record) => &record.normalizer,
+            Self::Coordinator(record) => &record.normalizer,
+        }
+    }
+}
 
 /// Makes a run folder of an editor trained elsewhere.
 ///
@@ -54,7 +100,7 @@ const RANGE: &str = "range.json";
 pub fn import_editor(
     run_dir: &Path,
     record: &EditorRecord,
-    skeleton: &Skeleton,
+    skeleton: impl Into<SkeletonId>,
     weights: Vec<u8>,
     path: &Path,
     device: &Device,
@@ -85,7 +131,7 @@ pub fn import_editor(
 pub fn import_coordinator(
     run_dir: &Path,
     record: &CoordinatorRecord,
-    skeleton: &Skeleton,
+    skeleton: impl Into<SkeletonId>,
     weights: Vec<u8>,
     path: &Path,
     device: &Device,
@@ -101,7 +147,7 @@ pub fn import_coordinator(
 /// Makes a run folder from the record of a kind of model, with `network` as its best checkpoint.
 pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
-    skeleton: &Skeleton,
+    skeleton: impl Into<SkeletonId>,
     (kind, record): (&str, C),
     network: &impl Networks,
 ) -> Result<(), Error> {
@@ -386,40 +432,52 @@ pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
     Ok(array.values.iter().map(|&value| value as f32).collect())
 }
 
-/// Writes the network of a run as a safetensors file under the released names, including the position tables that the
-/// released program requires, and the normaliser as JSON. Returns the files.
+/// Writes a folder with the network of a run as a safetensors file under the released names, including the position
+/// tables that the released program requires, and with its normaliser and its [record](Exported) as JSON. Returns the
+/// files.
 ///
 /// # Errors
 /// The folder is not a run of the editor or the coordinator, its checkpoint is damaged, its network has layers that the
-/// released network lacks, or a file cannot be written.
+/// released network lacks, `out` holds files, or a file cannot be written.
 pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let kind = checkpoint::read_kind(run_dir)?;
     let mut foreign = Vec::new();
-    let (mut files, name, model, normalizer) = if kind == coordinator::KIND {
+    let (mut files, name, width, exported) = if kind == coordinator::KIND {
         let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
-        let CoordinatorRecord {
-            train, normalizer, ..
-        } = opened.record.config;
-        (opened.files, Coordinator::FILE, train.model, normalizer)
+        let skeleton = opened.record.skeleton_id();
+        let record = opened.record.config;
+        let width = record.train.model.width;
+        let network = NetworkRecord::Coordinator(Box::new(record));
+        let exported = Exported { skeleton, network };
+        (opened.files, Coordinator::FILE, width, exported)
     } else {
         let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
-        let EditorRecord {
-            train, normalizer, ..
-        } = opened.record.config;
-        if train.diffusion.tell_frames {
+        let skeleton = opened.record.skeleton_id();
+        let record = opened.record.config;
+        if record.train.diffusion.tell_frames {
             foreign.push(("tell_frames", "tell_frames = false"));
         }
-        (opened.files, Denoiser::FILE, train.model, normalizer)
+        let width = record.train.model.width;
+        let network = NetworkRecord::Motionrefit(Box::new(record));
+        let exported = Exported { skeleton, network };
+        (opened.files, Denoiser::FILE, width, exported)
     };
     let bytes = take(&mut files, name, run_dir)?;
-    let bytes = with_tables(&bytes, model.width, foreign, run_dir)?;
-    std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
-    let weights = out.join(name);
-    write_atomically(&weights, &bytes)?;
-    let range = out.join(RANGE);
-    let document = serde_json::json!({ "min": normalizer.min, "max": normalizer.max });
-    write_atomically(&range, document.to_string().as_bytes())?;
-    Ok(vec![weights, range])
+    let bytes = with_tables(&bytes, width, foreign, run_dir)?;
+    let Normalizer { min, max } = exported.network.normalizer();
+    let range = serde_json::json!({ "min": min, "max": max });
+    let settings = out.join(SETTINGS);
+    let stated = serde_json::to_vec_pretty(&exported).map_err(json_error(&settings))?;
+    let folder = NewFolder::beside(out)?;
+    for (name, bytes) in [
+        (name, &bytes),
+        (RANGE, &range.to_string().into_bytes()),
+        (SETTINGS, &stated),
+    ] {
+        write_atomically(&folder.path().join(name), bytes)?;
+    }
+    folder.publish()?;
+    Ok(vec![out.join(name), out.join(RANGE), settings])
 }
 
 /// The network in the released form. `foreign` lists settings that the released network lacks, each with what to train

@@ -7,6 +7,7 @@ use std::ops::Range;
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, Motion, Pose, Resample, Skeleton};
 use features::humanml3d::{features_of_joints, joints_of_motion};
+use features::smpl_body;
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation;
 use serde::{Deserialize, Serialize};
@@ -121,7 +122,7 @@ impl Prepared {
             .apply(motion, recipe.fps())
             .map_err(motion_error(id))?;
         if recipe == FeatureRecipe::HumanMl3d {
-            let joints = joints_of_motion(&motion, &Skeleton::smplx_neutral());
+            let joints = joints_of_motion(&motion, &smpl_body(&Skeleton::smplx_neutral()));
             let rows = features_of_joints(&joints)
                 .map_err(|error| Error::item(id, format!("has no HumanML3D features: {error}")))?;
             let rows = rows.into_iter().step_by(stride).flatten().collect();

@@ -9,7 +9,7 @@ use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows, grou
 use crate::checkpoint::{Run, RunRecord, Start};
 use crate::config::{
     NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
-    check_lengths, positive, share,
+    check_lengths, finite, positive, share,
 };
 use crate::data::{TextBatch, Texts};
 use crate::features::FeatureStats;
@@ -133,6 +133,8 @@ impl MdmConfig {
         self.model.check()?;
         self.run.check()?;
         self.text.check_pooled()?;
+        self.text.check_words()?;
+        finite("guidance", self.guidance)?;
         share("text_dropout", self.text_dropout)?;
         positive("diffusion_steps", self.diffusion_steps as u64)?;
         check_lengths(self.min_frames, self.max_frames)

@@ -77,7 +77,7 @@ fn open(
     let guidance = config.guidance.unwrap_or(record.train.guidance);
     let temperature = config.temperature.unwrap_or(1.0);
     let name = system_name(&record, source.slot, &inpainting, guidance, temperature)?;
-    let settings = serde_json::json!({
+    let mut settings = serde_json::json!({
         "checkpoint": source.slot.name(),
         "guidance": guidance,
         "temperature": temperature,
@@ -85,6 +85,10 @@ fn open(
         "release": inpainting.release,
         "fps": Fps::STORE,
     });
+    let encoder = record.train.text.encoder;
+    if let Some(added) = source.text_encoder.added_vectors(&source.run, encoder)? {
+        settings["text_vectors"] = added.into();
+    }
     Ok(Box::new(MdmBpSystem {
         model,
         record,

@@ -33,7 +33,9 @@ pub fn read(run_dir: &Path) -> Result<Curves, Error> {
     let path = run_dir.join(METRICS);
     let text = std::fs::read_to_string(&path).map_err(Error::io("read", &path))?;
     let mut curves = Curves::default();
-    for line in text.lines() {
+    // A crash may have cut the last line; the run writes it again when it goes on.
+    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+    for line in whole.lines() {
         let line: Line = serde_json::from_str(line).map_err(json_error(&path))?;
         let step = line.step as f64;
         curves.loss.extend(line.loss.map(|loss| (step, loss)));

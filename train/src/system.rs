@@ -545,6 +545,8 @@ pub struct Answers {
     pub times: Option<EditTimes>,
     /// Warnings about the edits.
     pub remarks: Remarks,
+    /// Number of edits that the folder held and that an older version keeps: they were made in another way.
+    pub replaced: u64,
 }
 
 /// Warnings about edits of the items.
@@ -570,9 +572,20 @@ pub(crate) fn edits_plan(
     seed: Seed,
     takes: u64,
 ) -> String {
-    let ids: Vec<&str> = items.iter().map(|row| row.id.as_str()).collect();
+    // The table of edits repeats the items, with columns that their ids do not cover.
+    let columns = |row: &'_ ItemRow| {
+        let (origin, novelty) = (row.origin.clone(), row.novelty.clone());
+        (
+            row.id.clone(),
+            origin,
+            novelty,
+            row.seed,
+            row.recipe_hash.clone(),
+        )
+    };
+    let items: Vec<_> = items.iter().map(columns).collect();
     let inputs = (
-        ids,
+        items,
         &identity.checkpoint_hash,
         &identity.name,
         &identity.settings,
@@ -580,7 +593,7 @@ pub(crate) fn edits_plan(
         takes,
     );
     // The number is raised when the content of the table changes.
-    plan_hash("edits-5", &inputs)
+    plan_hash("edits-6", &inputs)
 }
 
 /// Edits the items of a folder and commits items and edits as a separate dataset. Take `n` of `takes` is sampled with
@@ -600,15 +613,18 @@ pub fn answer_items(
     let rows = items.items()?;
     let remarks = remarks_of(system, &rows)?;
     let plan = edits_plan(&rows, system.identity(), seed, takes);
+    let mut replaced = 0;
     if let Some(held) = Dataset::held_in(out)? {
         if held.manifest().plan(EditRow::TABLE) == plan {
             return Ok(Answers {
                 dataset: Dataset::open(out)?,
                 times: None,
                 remarks,
+                replaced: 0,
             });
         }
         check_room(&held, &rows, Some(system.identity().made_by()))?;
+        replaced = held.manifest().rows(EditRow::TABLE, None);
     }
     let texts: Vec<String> = rows.iter().map(|item| item.instruction.clone()).collect();
     system.prepare(&texts, session)?;
@@ -625,6 +641,7 @@ pub fn answer_items(
         dataset,
         times: Some(times),
         remarks,
+        replaced,
     })
 }
 

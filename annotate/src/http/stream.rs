@@ -13,8 +13,7 @@ use tokio::sync::mpsc;
 
 use super::app::{App, Context, blocking, credential, text};
 use crate::Error;
-use crate::state::LogKind;
-use crate::store::{Store, TokenUse, Who};
+use crate::store::{Store, TokenUse};
 use crate::wire::{Change, Code, Role};
 
 /// Interval at which the log is polled while clients are connected. Another server on the same store cannot notify this
@@ -76,7 +75,7 @@ pub(super) fn open(cx: &Context) -> Result<Response, Error> {
     Ok((headers, Sse::new(events)).into_response())
 }
 
-/// Sends new entries until the listener disconnects, or their token or session ends.
+/// Sends new entries until the listener disconnects, is no reviewer any more, or their token or session ends.
 async fn listen(
     app: Arc<App>,
     login: (String, TokenUse),
@@ -90,9 +89,10 @@ async fn listen(
         let (app, (token, purpose)) = (Arc::clone(&app), login.clone());
         let work = move || {
             let who = app.store.recognise(&token, purpose, app.now())?;
-            changes(&app.store, &who, after)
+            let may = who.role >= Role::Reviewer;
+            may.then(|| changes(&app.store, after)).transpose()
         };
-        let (seq, events) = blocking(work).await.ok()?;
+        let (seq, events) = blocking(work).await.ok()??;
         let more = seq - after >= BATCH as i64;
         after = seq;
         for event in events {
@@ -108,26 +108,16 @@ async fn listen(
     }
 }
 
-/// Log entries after a sequence number that a user may see, and the last number read.
-fn changes(store: &Store, who: &Who, after: i64) -> Result<(i64, Vec<Event>), Error> {
+/// Log entries after a sequence number, and the last number read.
+fn changes(store: &Store, after: i64) -> Result<(i64, Vec<Event>), Error> {
     let mut events = Vec::new();
     let mut last = after;
     for entry in store.log(after, BATCH)? {
         last = entry.seq;
-        let mine = match entry.task {
-            Some(_) if entry.actor == Some(who.id) => true,
-            Some(task) => store.concerns(who.id, task)?,
-            None => false,
-        };
-        let is_secret = entry.kind == LogKind::GoldScored.as_str();
-        if who.role < Role::Reviewer && (!mine || is_secret) {
-            continue;
-        }
         let change = Change {
             seq: entry.seq,
             kind: entry.kind,
             task: entry.task,
-            mine,
         };
         let data = serde_json::to_string(&change).unwrap_or_default();
         let id = change.seq.to_string();

@@ -179,8 +179,8 @@ impl Taking<'_> {
             self.check_suggestion(tx, id)?;
         }
         if event.kind == EventKind::Submit {
-            let frames = project::frames(tx, &self.task.source)?;
-            answer::check_submission(&answer, self.task.kind, &self.turn.settings, frames)?;
+            let length = project::length(tx, &self.task.source)?;
+            answer::check_submission(&answer, self.task.kind, &self.turn.settings, length)?;
         }
         let held = self.held(tx)?;
         let rev = rev_of(self.mine.as_ref());
@@ -215,6 +215,9 @@ impl Taking<'_> {
         let handed_in = self.handed_in().is_some();
         let detail = if handed_in {
             "your answer is submitted; undo the submission before changing it"
+        } else if self.is_of_earlier_clip(tx)? {
+            "the clip of this task was ingested anew, with other content; your text is kept as a draft, claim the task \
+             again and look at the clip"
         } else if self.taken(tx)? {
             "your lease on this task expired and somebody else has the task; your text is kept as a draft"
         } else {
@@ -260,6 +263,16 @@ impl Taking<'_> {
         tx.has(
             "SELECT 1 FROM task t WHERE t.id = ?1 AND t.claimable = 0
                AND EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr <> ?2)",
+            params![self.task.id, self.turn.user],
+        )
+    }
+
+    /// Whether the clip changed after the user got the task.
+    fn is_of_earlier_clip(&self, tx: &mut dyn Tx) -> Result<bool> {
+        tx.has(
+            "SELECT 1 FROM event c WHERE c.task = ?1 AND c.kind = 'clip_changed' AND c.seq > (
+               SELECT MAX(e.seq) FROM event e WHERE e.task = ?1 AND +e.actor = ?2 AND e.kind IN ('claimed', 'undone'))
+             LIMIT 1",
             params![self.task.id, self.turn.user],
         )
     }

@@ -6,7 +6,7 @@ use super::db::{Result, ToSql, Tx, params};
 use super::draw::percent;
 use super::entry::Place;
 use super::import::GOLD_KEY;
-use super::leases::{PLACED, Turn, expire, reserved_after};
+use super::leases::{HERE, PLACED, Turn, expire, reserved_after};
 use super::records::{Millis, TaskDetail};
 use super::rows::{self, LEASE, LeaseRow};
 use super::store::Store;
@@ -20,12 +20,14 @@ use crate::wire::{Code, EditType, Empty, Practice, RevisionState, TaskKind, Task
 /// is no longer reserved for them.
 const FOR_ME: &str = "t.claimable = 1
   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
-  AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)";
+  AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)
+  AND NOT EXISTS (SELECT 1 FROM motion m WHERE m.current = 2 AND m.hash IN (t.source, t.target))";
 
-/// SQL condition: `t` is a practice task of kind `?1` that can be given, since the task that it is a copy of is accepted.
-/// The key of a copy is `practice:` and the key of that task.
+/// SQL condition: `t` is a practice task of kind `?1` that can be given: the task that it is a copy of is accepted, and its
+/// clip has not changed since. The key of a copy is `practice:` and the key of that task.
 const PRACTICE: &str = "t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
-  AND NOT EXISTS (SELECT 1 FROM task o WHERE o.key = substr(t.key, 10) AND o.state <> 'accepted')";
+  AND NOT EXISTS (SELECT 1 FROM task o WHERE o.key = substr(t.key, 10) AND (o.state <> 'accepted' OR o.changed = 1))
+  AND NOT EXISTS (SELECT 1 FROM motion m WHERE m.current = 2 AND m.hash IN (t.source, t.target))";
 
 /// The order of [`PLACED`] tasks.
 const IN_BUNDLES: &str =
@@ -95,7 +97,7 @@ pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i
     };
     let mut offers: BTreeMap<Option<String>, Offer> = BTreeMap::new();
     let claimable = format!(
-        "SELECT {columns}, COUNT(*) FROM task t WHERE t.kind = ?1 AND t.claimable = 1 {group}"
+        "SELECT {columns}, COUNT(*) FROM task t WHERE t.kind = ?1 AND t.claimable = 1 AND {HERE} {group}"
     );
     // Query the user's few tasks instead of checking every open task.
     let not_for_me = format!(
@@ -103,7 +105,7 @@ pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i
            SELECT task FROM revision WHERE author = ?2 AND state NOT IN ('draft', 'returned')
            UNION SELECT task FROM skip WHERE usr = ?2 AND postponed = 0
            UNION SELECT task FROM lease WHERE usr = ?2
-         ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.claimable = 1 {group}"
+         ) o JOIN task t ON t.id = o.task WHERE t.kind = ?1 AND t.claimable = 1 AND {HERE} {group}"
     );
     let mut counts: Vec<(Option<String>, bool, i64)> = tx.list(&claimable, params![kind])?;
     counts.append(&mut tx.list(&not_for_me, params![kind, turn.user])?);
@@ -209,11 +211,11 @@ fn due(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
     if let Some(held) = rows::leases(tx, &from, params![turn.user, kind])?.pop() {
         return turn.resume(tx, &held).map(Some);
     }
-    let back = tx.find(
+    let sql = format!(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
-        params![turn.user, kind],
-    )?;
+         WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 AND {HERE} ORDER BY l.id LIMIT 1"
+    );
+    let back = tx.find(&sql, params![turn.user, kind])?;
     let task = match back {
         Some(task) => Some(task),
         None => next_practice(tx, turn, kind)?,
@@ -487,21 +489,21 @@ fn gold_tasks(
 }
 
 /// The next gold tasks of a user. Excludes tasks that the user answered, reviewed or began before they became gold, and
-/// tasks whose answer is no longer accepted.
+/// tasks whose answer is no longer accepted, or is about earlier content of the clip.
 fn known_tasks(tx: &mut dyn Tx, user: i64, kind: TaskKind, count: usize) -> Result<Vec<i64>> {
     let prefix = GOLD_KEY.len() as i64 + 1;
-    tx.list(
+    let sql = format!(
         "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.practice = 0 AND t.kind = ?1 AND t.state IN ('open', 'leased')
            AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
            AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)
-           AND NOT EXISTS (SELECT 1 FROM task o WHERE o.key = substr(t.key, CAST(?3 AS INTEGER)) AND (o.state <> 'accepted'
+           AND NOT EXISTS (SELECT 1 FROM task o WHERE o.key = substr(t.key, CAST(?3 AS INTEGER)) AND (o.state <> 'accepted' OR o.changed = 1
              OR EXISTS (SELECT 1 FROM revision r WHERE r.task = o.id AND r.author = ?2)
              OR EXISTS (SELECT 1 FROM review v WHERE v.task = o.id AND v.reviewer = ?2)
              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = o.id AND a.author = ?2)))
-         ORDER BY t.shuffle, t.id LIMIT ?4",
-        params![kind, user, prefix, count as i64],
-    )
+           AND {HERE} ORDER BY t.shuffle, t.id LIMIT ?4"
+    );
+    tx.list(&sql, params![kind, user, prefix, count as i64])
 }
 
 fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
@@ -531,6 +533,10 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
          WHERE l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.gold IS NULL",
         params![kind, user],
     )?;
+    let sql = format!(
+        "SELECT COUNT(*) FROM task t WHERE t.kind = ?1 AND t.gold IS NULL AND t.claimable = 1 AND NOT ({HERE})"
+    );
+    empty.clip_gone = tx.number(&sql, params![kind])?;
     Ok(empty)
 }
 
@@ -560,6 +566,11 @@ fn claim_task(tx: &mut dyn Tx, turn: &Turn, id: i64) -> Result<()> {
         return Err(Error::wrong_state(task.state, problem));
     }
     apply::check_move(task.state, LogKind::Claimed, "taken")?;
+    let is_here = format!("SELECT 1 FROM task t WHERE t.id = ?1 AND {HERE}");
+    if !tx.has(&is_here, params![id])? {
+        let problem = "taken: its clip is no longer in the dataset";
+        return Err(Error::wrong_state(task.state, problem));
+    }
     let sql = "SELECT claimable, counted FROM task WHERE id = ?1";
     let (claimable, counted): (bool, bool) = tx.get(sql, params![id])?;
     if !claimable && task.gold.is_none() {

@@ -1,7 +1,9 @@
 //! Import of tasks into the store, and of answers into tasks that exist.
 
+use std::collections::BTreeSet;
+
 use super::db::{Result, Tx, params};
-use super::draw::{draw, percent};
+use super::draw::{draw, percent, wanted};
 use super::entry::{Body, LoggedTask};
 use super::leases::Turn;
 use super::records::{Imported, Millis, NewTask};
@@ -65,6 +67,19 @@ impl Store {
             done.others.extend(some.others);
         }
         Ok(done)
+    }
+
+    /// Those of some keys that tasks have.
+    pub fn known_keys(&self, keys: Vec<String>) -> Result<BTreeSet<String>> {
+        self.read(|tx| {
+            let mut known = BTreeSet::new();
+            for key in keys {
+                if tx.has("SELECT 1 FROM task WHERE key = ?1", params![key])? {
+                    known.insert(key);
+                }
+            }
+            Ok(known)
+        })
     }
 
     /// Copies an accepted task as a hidden gold task, to measure people, and returns the id of the copy. Refused with
@@ -231,16 +246,6 @@ fn put_task(
         project::put_suggestion(tx, id, suggestion, now)?;
     }
     Ok(())
-}
-
-/// Number of people who must answer a task. The tasks of a bundle go to the same people.
-fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
-    let group = bundle.map_or_else(|| key.to_owned(), |bundle| bundle.to_string());
-    if percent(&["overlap", &group]) < settings.overlap_percent {
-        settings.answers_per_task
-    } else {
-        1
-    }
 }
 
 /// Maximum number of tasks that one transaction of [`retarget`] checks.

@@ -1,7 +1,7 @@
 //! Leases: assignment of tasks to people for a limited time.
 
 use super::db::{Result, Tx, params};
-use super::draw::percent;
+use super::draw::is_blind;
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
 use super::records::{Millis, Who};
 use super::rows::{self, LeaseRow};
@@ -19,6 +19,10 @@ pub(super) const MINUTE: Millis = 60_000;
 /// Leases with their tasks, and the place of a gold task in a bundle.
 pub(super) const PLACED: &str = "lease l JOIN task t ON t.id = l.task
   LEFT JOIN gold_place g ON g.task = l.task AND g.usr = l.usr";
+
+/// SQL condition: the clips of task `t` are in the dataset, as far as the last import tells.
+pub(super) const HERE: &str =
+    "NOT EXISTS (SELECT 1 FROM motion m WHERE m.current = 2 AND m.hash IN (t.source, t.target))";
 
 impl Store {
     /// Renews a lease. Refused with `lease_lost`.
@@ -185,8 +189,7 @@ impl Turn {
         let user = self.user;
         let found = tx.find("SELECT epoch, key FROM task WHERE id = ?1", params![task])?;
         let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
-        let blind = purpose == Purpose::Annotate
-            && percent(&["blind", &key, &user.to_string()]) < self.settings.blind_percent;
+        let blind = purpose == Purpose::Annotate && is_blind(&self.settings, &key, user);
         let body = Body::Claimed {
             purpose,
             expires: self.lease_end(),

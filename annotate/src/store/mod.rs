@@ -7,7 +7,8 @@
 //! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append`
 //! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
 //! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
-//! `jobs` and `pictures`; `read` holds queries, `project` the settings, preferences, motions and suggestions. `apply`
+//! `jobs` and `pictures`; `read` holds queries, `project` the settings, preferences, motions and suggestions, `clips` what
+//! becomes of tasks whose clip changes. `apply`
 //! writes the projections, `db` is the common interface of both databases, and `pool` holds the connections.
 
 mod append;
@@ -17,6 +18,7 @@ mod browse;
 mod bulk;
 mod captures;
 mod claim;
+mod clips;
 mod columns;
 pub(crate) mod db;
 mod derived;

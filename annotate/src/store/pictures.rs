@@ -25,14 +25,16 @@ const TYPES: [(&[u8], &str); 4] = [
 impl Store {
     /// Pictures of the guide, without their content.
     pub fn pictures(&self) -> Result<Vec<PictureInfo>> {
-        let sql = "SELECT name, mime, bytes FROM picture ORDER BY name";
-        let found: Vec<(String, String, String)> = self.read(|tx| tx.list(sql, &[]))?;
-        let found = found.into_iter();
-        let infos = found.map(|(name, mime, text)| {
-            let bytes = decoded(&text)?.len();
-            Ok(PictureInfo { name, mime, bytes })
-        });
-        infos.collect()
+        // Base64 writes three bytes as four characters, of which up to two are padding.
+        let sql = "SELECT name, mime, LENGTH(bytes) / 4 * 3 - CASE
+            WHEN bytes LIKE '%==' THEN 2 WHEN bytes LIKE '%=' THEN 1 ELSE 0 END FROM picture ORDER BY name";
+        let found: Vec<(String, String, i64)> = self.read(|tx| tx.list(sql, &[]))?;
+        let info = |(name, mime, bytes): (String, String, i64)| PictureInfo {
+            name,
+            mime,
+            bytes: usize::try_from(bytes).unwrap_or(0),
+        };
+        Ok(found.into_iter().map(info).collect())
     }
 
     /// Type and content of a picture of the guide. Refused with `not_found`.

@@ -1,25 +1,23 @@
 //! Settings, preferences, motions and suggestions.
 
-use std::collections::BTreeMap;
+use datasets_spec::Fps;
 
 use super::db::{Params, Result, Tx, json, params, unreadable};
 use super::entry::{Body, read_stored};
+use super::log;
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::settings::{check, is_name};
 use super::store::Store;
-use super::{log, rows};
 use crate::error::{Error, require};
 use crate::wire::{
     Action, Code, KEY_CODES, KEY_MODIFIERS, Prefs, Problem, Settings, SettingsChange, Style,
-    Suggestion, TaskState,
+    Suggestion,
 };
 
 /// Characters that the write test writes: more than any answer has, so that a nearly full disk fails the test.
 const TRIED: usize = 64 * 1024;
 /// Name under which table `setting` holds the settings.
 const SETTINGS: &str = "settings";
-/// Comment on a task that returns to review because of its clip.
-const REOPENED: &str = "the clip was ingested anew, with other content, after this was accepted";
 /// Motions or tasks written per transaction; bounds how long others wait.
 pub(super) const AT_ONCE: usize = 500;
 
@@ -86,88 +84,14 @@ impl Store {
         Ok(())
     }
 
-    /// Replaces the content of clips. Tasks on the earlier content get the new content; those with an answer are marked
-    /// ([`TaskRecord::changed`](super::TaskRecord::changed)) until somebody has decided about them again. Returns the
-    /// number of tasks whose content changed.
-    pub fn replace_motions(
-        &self,
-        actor: Option<i64>,
-        motions: Vec<MotionRecord>,
-        now: Millis,
-    ) -> Result<i64> {
-        self.write(move |tx| {
-            let mut replaced: BTreeMap<String, String> = BTreeMap::new();
-            for motion in &motions {
-                let sql = "SELECT hash FROM motion WHERE id = ?1 AND current = 1";
-                let before: Option<String> = tx.find(sql, params![motion.id])?;
-                if let Some(before) = before.filter(|before| *before != motion.hash) {
-                    replaced.insert(before, motion.hash.clone());
-                }
-            }
-            // Two clips may have swapped their contents, so remove all old contents first.
-            for hash in replaced.keys() {
-                let sql = "UPDATE motion SET current = 0 WHERE hash = ?1";
-                tx.run(sql, params![hash])?;
-            }
-            for motion in &motions {
-                put_motion(tx, motion)?;
-            }
-            let mut count = 0;
-            let sql = "SELECT id, source, target FROM task ORDER BY id";
-            for (task, source, target) in tx.list::<(i64, String, Option<String>)>(sql, &[])? {
-                let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
-                let new = (now_of(&source), target.as_ref().map(now_of));
-                if new == (source, target) {
-                    continue;
-                }
-                let (source, target) = new;
-                let body = Body::ClipChanged { source, target };
-                log::note(tx, now, actor, Some(task), body)?;
-                count += 1;
-            }
-            Ok(count)
-        })
-    }
-
-    /// Decides about tasks of [`Self::changed_tasks`]: with `keep` their answers stay valid; otherwise accepted ones
-    /// return to review.
-    pub fn settle_changed(
-        &self,
-        actor: Option<i64>,
-        tasks: &[i64],
-        keep: bool,
-        now: Millis,
-    ) -> Result<()> {
-        for some in tasks.chunks(AT_ONCE) {
-            let some = some.to_vec();
-            self.write(move |tx| {
-                for task in some {
-                    let body = match (keep, rows::task(tx, task)?.state) {
-                        (true, _) => Body::ClipKept,
-                        (false, TaskState::Accepted) => Body::Reopened {
-                            comment: REOPENED.to_owned(),
-                            rule: None,
-                            request: String::new(),
-                        },
-                        // A reviewer will decide anyway, and sees the change.
-                        (false, _) => continue,
-                    };
-                    log::note(tx, now, actor, Some(task), body)?;
-                }
-                Ok(())
-            })?;
-        }
-        Ok(())
-    }
-
     /// Motions by their hashes, in this order and without unknown ones.
     pub fn motions(&self, hashes: Vec<String>) -> Result<Vec<MotionRecord>> {
         self.read(|tx| motions(tx, &hashes))
     }
 
-    /// All motions.
+    /// All motions, also those that are no longer in the dataset.
     pub fn all_motions(&self) -> Result<Vec<MotionRecord>> {
-        self.read(|tx| motions_where(tx, "current = 1 ORDER BY id", &[]))
+        self.read(|tx| motions_where(tx, "current <> 0 ORDER BY id", &[]))
     }
 
     /// Up to `limit` other motions of the same split, for previews: the next ones in the cyclic order of hashes, which
@@ -336,7 +260,7 @@ fn check_prefs(prefs: &Prefs) -> Result<()> {
     require(is_allowed, "speed", "0.1 to 2 will do")
 }
 
-fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord) -> Result<()> {
+pub(super) fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord) -> Result<()> {
     tx.run(
         "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action, current)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1)
@@ -376,9 +300,14 @@ fn motions_where(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec
 
 /// Number of frames of a motion; 1 for an unknown motion, so that no range can be chosen.
 pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
-    let sql = "SELECT frames FROM motion WHERE hash = ?1";
-    let frames = tx.find(sql, params![hash])?;
-    Ok(frames.unwrap_or(1))
+    Ok(length(tx, hash)?.0)
+}
+
+/// [`frames`] of a motion, and their rate.
+pub(super) fn length(tx: &mut dyn Tx, hash: &str) -> Result<(i64, f64)> {
+    let sql = "SELECT frames, fps FROM motion WHERE hash = ?1";
+    let length = tx.find(sql, params![hash])?;
+    Ok(length.unwrap_or((1, Fps::STORE.get())))
 }
 
 /// Suggestions that match an SQL condition.

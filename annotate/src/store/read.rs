@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::db::{Params, Result, Tx, params, unreadable};
+use super::draw::{is_blind, wanted};
 use super::entry::Body;
 use super::filter::{Values, like};
 use super::project;
@@ -21,11 +22,6 @@ use crate::wire::{
 };
 
 impl Store {
-    /// Whether a user holds or answered a task.
-    pub fn concerns(&self, user: i64, task: i64) -> Result<bool> {
-        self.read(|tx| concerns(tx, user, task))
-    }
-
     /// Task details for a user who may see the task. Refused with `not_found`.
     pub fn task(&self, who: &Who, task: i64) -> Result<TaskDetail> {
         self.read(|tx| {
@@ -54,7 +50,7 @@ impl Store {
 
     /// Tasks whose clip was ingested again with other content after somebody answered.
     pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>> {
-        self.read(|tx| rows::tasks(tx, "t.changed = 1 ORDER BY t.id", &[]))
+        self.read(|tx| rows::tasks(tx, "t.changed = 1 AND t.gold IS NULL ORDER BY t.id", &[]))
     }
 
     /// Tasks that still want answers and have no draft of a language model, with ids above `after`.
@@ -285,6 +281,7 @@ pub(super) fn last_seq(tx: &mut dyn Tx) -> Result<i64> {
     tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[])
 }
 
+/// Whether a user holds or answered a task.
 fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool> {
     let held = rows::lease_of(tx, task, user)?.is_some();
     Ok(held || rows::revision(tx, task, user)?.is_some())
@@ -359,11 +356,12 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail> 
     let task = rows::task(tx, id)?;
     let task = shown(tx, task, user)?;
     let blind = match &held {
-        Some(held) => held.blind,
-        None => tx.has(
-            "SELECT 1 FROM revision WHERE task = ?1 AND author = ?2 AND blind = 1",
-            params![id, user],
-        )?,
+        Some(held) if matches!(held.purpose, Purpose::Annotate | Purpose::Review) => held.blind,
+        // A task that is reserved for the user, or that they answered, is as blind as it is when they claim it.
+        _ => {
+            let sql = "SELECT 1 FROM revision WHERE task = ?1 AND author = ?2 AND blind = 1";
+            is_blind(&project::settings(tx)?, &task.key, user) || tx.has(sql, params![id, user])?
+        }
     };
     let comment = comment_to(tx, id, user, "returned")?;
     let came_back = mine
@@ -387,12 +385,25 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail> 
     })
 }
 
-/// A task as shown to a user: a gold task looks like a normal task of a bundle that wants one answer.
+/// Number of answers that a task wants, as people are told: a gold task takes answers without limit, and looks as if it
+/// wanted as many as the task that it is a copy of.
+fn shown_wanted(tx: &mut dyn Tx, task: &TaskRecord) -> Result<u32> {
+    if task.gold.is_none() {
+        return Ok(task.wanted);
+    }
+    if task.practice {
+        return Ok(1);
+    }
+    let original = task.key.split_once(':').map_or("", |(_, key)| key);
+    Ok(wanted(&project::settings(tx)?, original, task.bundle))
+}
+
+/// A task as shown to a user: a gold task looks like a normal task of a bundle.
 pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<TaskRecord> {
     if task.gold.is_none() {
         return Ok(task);
     }
-    task.wanted = 1;
+    task.wanted = shown_wanted(tx, &task)?;
     let mine = rows::revision(tx, task.id, user)?;
     let is_answered = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
     task.submitted = is_answered.into();
@@ -413,6 +424,7 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
 /// A task in the form that the page shows.
 pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
     let motions = project::motions(tx, std::iter::once(&task.source).chain(&task.target))?;
+    let wanted = shown_wanted(tx, &task)?;
     Ok(Task {
         id: task.id,
         kind: task.kind,
@@ -421,8 +433,7 @@ pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) ->
         category: task.category,
         hint: task.hint,
         style: task.style,
-        // A gold task takes answers without limit, and is shown as one that wants one, as in `shown`.
-        wanted: if task.gold.is_some() { 1 } else { task.wanted },
+        wanted,
         submitted: task.submitted,
         bundle,
         practice: task.practice,

@@ -3,7 +3,7 @@
 use super::append::working;
 use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
-use super::leases::Turn;
+use super::leases::{HERE, Turn};
 use super::log::Request;
 use super::records::{Millis, ReviewDetail, TaskRecord};
 use super::store::Store;
@@ -103,7 +103,7 @@ fn next(
         "SELECT t.id FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND (?2 = '' OR t.kind = ?2)
            AND (t.shuffle + ?5) % 100 < ?3 AND t.came_back >= ?4
            AND (?6 = 1 OR NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?1 AND r.state <> 'draft'))
-         ORDER BY {order} LIMIT 1"
+           AND {HERE} ORDER BY {order} LIMIT 1"
     );
     let values = params![user, kind, share, back, settings.seed, settings.solo];
     let task = tx.find(&sql, values)?;
@@ -204,7 +204,8 @@ impl Deciding<'_> {
         apply::check_move(self.task.state, kind, "decided so")
     }
 
-    /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is about answers.
+    /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is about answers or was
+    /// made under a lease.
     fn check_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let from = "lease l WHERE l.task = ?1 AND l.purpose = 'review'";
         let held = rows::leases(tx, from, params![self.task.id])?.pop();
@@ -214,10 +215,11 @@ impl Deciding<'_> {
         let needs_lease = matches!(
             self.review.decision,
             Decision::Accept | Decision::Merge | Decision::Return
-        );
+        ) || self.review.decision == Decision::Drop
+            && self.review.lease_epoch != 0;
         let somebody_else = held.is_some_and(|held| held.lease.user != self.turn.user);
         if (needs_lease && !ours) || somebody_else {
-            let problem = "your lease on this review expired; claim the task again from the queue";
+            let problem = "your lease on this review ended, because it expired or the clip was ingested anew; claim the task again from the queue";
             return Err(Error::refused(Code::LeaseLost, problem));
         }
         Ok(())
@@ -262,8 +264,8 @@ impl Deciding<'_> {
                 let answer = self.review.answer.clone();
                 let answer = answer
                     .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
-                let frames = project::frames(tx, &self.task.source)?;
-                answer::check_submission(&answer, self.task.kind, &self.turn.settings, frames)?;
+                let length = project::length(tx, &self.task.source)?;
+                answer::check_submission(&answer, self.task.kind, &self.turn.settings, length)?;
                 Body::Merged {
                     answer,
                     comment,

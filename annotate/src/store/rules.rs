@@ -136,6 +136,11 @@ fn fit(
     if answer::spread(&all, frames).is_some_and(|distance| distance > rule.max_distance) {
         return Fit::No;
     }
+    // The distance does not compare texts, which may contradict each other.
+    let wants_equal = rule.accepts == RuleKind::Sampled && rule.max_distance == 0.0;
+    if wants_equal && !answer::share_words(&all) {
+        return Fit::No;
+    }
     let new_style = |answer: &Answer| answer.new_style(settings).is_some();
     if is_sampled(settings.seed, task, rule.review_percent) || all.iter().any(new_style) {
         Fit::Review

@@ -35,7 +35,8 @@ CREATE TABLE suggestion (
 CREATE INDEX suggestion_task ON suggestion (task, id);
 CREATE INDEX suggestion_prompt ON suggestion (prompt_hash);
 
--- Motions by their content. `current` is 0 for the earlier content of a clip that was ingested anew.
+-- Motions by their content. `current` is 0 for the earlier content of a clip that was ingested anew, and 2 for a clip that
+-- is no longer in the dataset.
 CREATE TABLE motion (
   hash TEXT PRIMARY KEY,
   id TEXT NOT NULL,

@@ -170,9 +170,11 @@ fn check_rules(rules: &[Rule]) -> Result<()> {
 
 pub(super) fn check_picture_name(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let is_allowed = (1..=60).contains(&name.len()) && name.chars().all(allowed);
+    let is_allowed = (1..=60).contains(&name.len())
+        && name.chars().all(allowed)
+        && name.chars().any(|c| c != '.');
     let problem = format!(
-        "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
+        "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores, and not dots alone"
     );
     require(is_allowed, "name", problem)
 }

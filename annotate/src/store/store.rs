@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::db::{Database, Result, Tx, with_value};
+use super::records::Millis;
 use crate::clock::{self, Clock};
 
 /// An upgrade of a store's tables, made when the store was opened.
@@ -88,14 +89,21 @@ impl Store {
         self.write(|_| Ok(()))
     }
 
-    /// The clock of the database, for a store that several servers share. The servers' own clocks may differ by more
-    /// than the duration of a lease.
+    /// The time of the database, for a store that several machines share. Their own clocks may differ by more than the
+    /// duration of a lease.
+    pub fn now(&self) -> Result<Option<Millis>> {
+        let sql = self.db.time();
+        sql.map(|sql| self.read(|tx| tx.number(sql, &[])))
+            .transpose()
+    }
+
+    /// A clock that shows [`Self::now`], for a store that several machines share.
     pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>> {
-        let Some(sql) = self.db.time() else {
+        if self.db.time().is_none() {
             return Ok(None);
-        };
+        }
         let store = Arc::clone(self);
-        let read = move || store.read(|tx| tx.number(sql, &[]));
+        let read = move || Ok(store.now()?.unwrap_or(0));
         Ok(Some(clock::shared(read)?))
     }
 }

@@ -11,7 +11,7 @@ use tables::Condition;
 use super::clips::{Clip, candidates, clips};
 use super::keys::{PAIR_SOURCE, mask_key, pair_key, task};
 use crate::Error;
-use crate::answer::{Fields, completion};
+use crate::answer::{Fields, check_draft, completion};
 use crate::groups::grouped;
 use crate::mask::entered;
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
@@ -154,7 +154,7 @@ pub fn from_dataset(
     taken.count("clips_not_chosen", (clips.len() - chosen.len()) as i64);
     let mut tasks = mask_tasks(&whole, &dataset, &chosen, &mut taken)?;
     let pairs: Vec<PairRow> = dataset.read(None)?;
-    tasks.extend(tasks_of_pairs(pairs.iter(), &by_id, &mut taken));
+    tasks.extend(tasks_of_pairs(store, pairs.iter(), &by_id, &mut taken)?);
     let rejected = whole.manifest().rejected_pairs()?;
     let of_table = pairs.iter().map(|pair| (&pair.source_id, &pair.target_id));
     let of_people = rejected
@@ -170,7 +170,7 @@ pub fn from_dataset(
     taken.count("candidates", count as i64);
     // Pairs that were made for an instruction come before candidates.
     for (name, list) in takes {
-        tasks.extend(bundled(&name, list));
+        tasks.extend(bundled(store, &name, list)?);
     }
     for task in tasks.iter_mut().filter(|task| task.accepted.is_some()) {
         let none = || Credit {
@@ -290,10 +290,11 @@ fn mask_tasks(
 
 /// Tasks of pairs whose motions exist: one for each style pair, and bundles of fine-grained pairs by their hint.
 fn tasks_of_pairs<'a>(
+    store: &Store,
     pairs: impl Iterator<Item = &'a PairRow>,
     by_id: &BTreeMap<&str, &Clip>,
     taken: &mut Taken,
-) -> Vec<NewTask> {
+) -> Result<Vec<NewTask>, Error> {
     let (mut missing, mut unknown_types) = (0, 0);
     let (mut fine, mut tasks) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
     for pair in pairs {
@@ -349,9 +350,10 @@ fn tasks_of_pairs<'a>(
             known.join(", ")
         )
     });
-    let bundles = fine.into_iter();
-    tasks.extend(bundles.flat_map(|(name, list)| bundled(&name, list)));
-    tasks
+    for (name, list) in fine {
+        tasks.extend(bundled(store, &name, list)?);
+    }
+    Ok(tasks)
 }
 
 /// Imports the masks and pairs of an exported dataset (`stance export --to stance`) into the tasks of the same motions.
@@ -416,7 +418,12 @@ pub fn from_labels(
             across[0].id
         )
     });
-    tasks.extend(tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken));
+    tasks.extend(tasks_of_pairs(
+        store,
+        pairs.into_iter(),
+        &by_id,
+        &mut taken,
+    )?);
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
 }
@@ -443,6 +450,7 @@ fn compare_with_known(
         known.is_some_and(|hash| **hash != motion.hash)
     });
     note_corrected(known, &same, taken);
+    let replaced: BTreeSet<&str> = changed.iter().map(|motion| motion.id.as_str()).collect();
     if !changed.is_empty() {
         taken.count("changed_motions", changed.len() as i64);
         let changed = changed.into_iter().cloned();
@@ -456,16 +464,22 @@ fn compare_with_known(
             ));
         }
     }
-    let here: BTreeSet<&str> = all.iter().map(|clip| clip.record.id.as_str()).collect();
-    let gone: Vec<&str> = hashes.into_keys().filter(|id| !here.contains(id)).collect();
+    // A clip that is a copy of another one now has lost its own content too.
+    let contents: BTreeSet<&str> = all.iter().map(|clip| clip.record.hash.as_str()).collect();
+    let is_gone = |motion: &&MotionRecord| {
+        !contents.contains(motion.hash.as_str()) && !replaced.contains(motion.id.as_str())
+    };
+    let gone: Vec<&MotionRecord> = known.iter().filter(is_gone).collect();
     taken.report("clips_gone", gone.len(), || {
         format!(
-            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
+            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay, and nobody \
+             is given these tasks until the clips are back",
             gone.len(),
-            gone[0]
+            gone[0].id
         )
     });
-    Ok(())
+    let gone = gone.iter().map(|motion| motion.hash.clone());
+    store.note_gone(actor, gone.collect(), now)
 }
 
 /// Counts the clips whose content is as before, but whose id, split, captions, style or action are corrected.
@@ -507,12 +521,24 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
                 Error::refused(Code::Invalid, problem)
             })
         });
-        new.accepted = Some(Answer::MaskText {
+        let answer = Answer::MaskText {
             masks: masks.collect::<Result<_, _>>()?,
             count_reason: None,
             note: String::new(),
-        });
-        new.credit = credit(&people[0].author, false, people[0].accepted_by.as_deref());
+        };
+        match check_draft(&answer, TaskKind::MaskText) {
+            Ok(()) => {
+                new.accepted = Some(answer);
+                new.credit = credit(&people[0].author, false, people[0].accepted_by.as_deref());
+            }
+            Err(problem) => {
+                taken.count("labels_refused", 1);
+                taken.messages.push(format!(
+                    "the masks of {} stay in the dataset and are not shown here: {problem}",
+                    motion.id
+                ));
+            }
+        }
     }
     // Suggestions have only parts and a text, so report the ranges.
     let ranged = drafts.iter().filter(|row| row.start.is_some()).count();
@@ -572,15 +598,20 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
     })
 }
 
-/// Puts pairs into bundles of eight of the same split.
-fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
+/// Puts the pairs that the project lacks into bundles of eight of the same split. A bundle is named after its first pair,
+/// so those of a later import are other ones.
+fn bundled(store: &Store, name: &str, mut tasks: Vec<NewTask>) -> Result<Vec<NewTask>, Error> {
     tasks.sort_by(|a, b| (&a.split, &a.key).cmp(&(&b.split, &b.key)));
-    let mut places: BTreeMap<String, usize> = BTreeMap::new();
-    for task in &mut tasks {
-        let place = places.entry(task.split.clone()).or_default();
-        task.bundle = Some(format!("{name}|{}|{}", task.split, *place / BUNDLE));
+    let known = store.known_keys(tasks.iter().map(|task| task.key.clone()).collect())?;
+    let mut places: BTreeMap<String, (usize, String)> = BTreeMap::new();
+    for task in tasks.iter_mut().filter(|task| !known.contains(&task.key)) {
+        let (place, first) = places.entry(task.split.clone()).or_default();
+        if place.is_multiple_of(BUNDLE) {
+            first.clone_from(&task.key);
+        }
+        task.bundle = Some(format!("{name}|{}|{first}", task.split));
         task.bundle_index = (*place % BUNDLE) as i64;
         *place += 1;
     }
-    tasks
+    Ok(tasks)
 }

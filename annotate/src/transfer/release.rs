@@ -55,11 +55,21 @@ pub fn from_release(
         let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
         new.extra = said.extra;
         new.credit = credit("", false, said.accepted_by.as_deref());
-        new.accepted = Some(Answer::MaskText {
+        let answer = Answer::MaskText {
             masks: said.masks,
             count_reason: None,
             note: String::new(),
-        });
+        };
+        if let Err(problem) = check_draft(&answer, TaskKind::MaskText) {
+            taken.count("entries_refused", 1);
+            if taken.messages.len() < 50 {
+                taken.messages.push(format!(
+                    "the annotations of motion {id:?} are left out: {problem}"
+                ));
+            }
+            continue;
+        }
+        new.accepted = Some(answer);
         tasks.push(new);
     }
     taken.report("entries_not_understood", not_understood.len(), || {
@@ -341,7 +351,7 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
 pub(super) fn entries(masks: &[MaskAnswer], extra: Option<&Value>) -> (Value, Value) {
     let names: Vec<String> = masks.iter().map(|mask| mask.parts.join("+")).collect();
     let texts: Vec<&str> = masks.iter().map(|mask| mask.text.as_str()).collect();
-    // Write unknown fields unchanged.
+    // Texts that fit no mask are written as they came.
     let kept = extra.and_then(|extra| extra.get("part_annotations"));
     (json!(names), kept.cloned().unwrap_or_else(|| json!(texts)))
 }

@@ -73,7 +73,7 @@ messages! {
         /// Unique key made by the browser.
         pub idem_key: String,
         pub task: i64,
-        /// Fencing number of the lease; ignored for `reopen` and `drop`.
+        /// Fencing number of the lease; ignored for `reopen`. 0 is for a `drop` of a task that the reviewer does not hold.
         #[serde(default)]
         pub lease_epoch: i64,
         pub decision: Decision,
@@ -293,8 +293,8 @@ messages! {
         pub people: Vec<i64>,
         #[serde(default = "one")]
         pub min_answers: u32,
-        /// Maximum distance between the answers to a task, 0 to 1: 0 asks for equal parts and labels. Rejections with
-        /// different verdicts have distance 1.
+        /// Maximum distance between the answers to a task, 0 to 1: 0 asks for equal parts and labels, and of a rule
+        /// that accepts any answer also for equal texts. Rejections with different verdicts have distance 1.
         #[serde(default)]
         pub max_distance: f64,
         /// Share of the matching tasks that is left to reviewers, 0 to 100. The choice depends only on the task and the

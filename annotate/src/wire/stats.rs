@@ -174,7 +174,6 @@ messages! {
         pub seq: i64,
         pub kind: String,
         pub task: Option<i64>,
-        pub mine: bool,
     }
 
     /// `POST exports`.

@@ -209,6 +209,8 @@ messages! {
         pub dropped: i64,
         /// Pairs that are not given out because their category has as many as the project wants.
         pub quota_full: i64,
+        /// Tasks whose clip is no longer in the dataset.
+        pub clip_gone: i64,
     }
 
     /// `POST tasks/{id}/events`.

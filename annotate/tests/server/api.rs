@@ -447,3 +447,24 @@ fn metrics_speak_of_requests() {
     let text = answered.text();
     assert!(text.contains(&format!("annotate_{words}")), "{text}");
 }
+
+#[test]
+fn a_blind_answer_that_came_back_shows_no_suggestions_before_it_is_claimed() {
+    let site = Site::new();
+    let [ann, eve] = site.people(["ann", "eve"]);
+    let shown = |task: i64| -> (bool, usize) {
+        let view: TaskView = ann.get(&format!("tasks/{task}")).ok();
+        (view.blind, view.suggestions.len())
+    };
+    let task = ann.answer(masks("waving"));
+    assert!(matches!(shown(task), (false, 1..)));
+    site.set(|settings| settings.blind_percent = 100);
+    let task = ann.answer(masks("hopping"));
+    let reviews = std::iter::from_fn(|| eve.review());
+    for review in reviews.take(2) {
+        let note = json!({ "comment": "Which hand?" });
+        let done = eve.decide(review.task.id, review.lease.epoch, Decision::Return, note);
+        assert_eq!(done.status, 200);
+    }
+    assert_eq!(shown(task), (true, 0));
+}

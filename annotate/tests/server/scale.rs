@@ -882,6 +882,18 @@ fn the_guide_has_guidelines_and_pictures_of_each_kind() {
     };
     let kept: PictureInfo = put(&boss, "right.png", png).ok();
     assert_eq!((kept.mime.as_str(), kept.bytes), ("image/png", png.len()));
+    // Base64 pads each of these lengths in another way.
+    for more in 0..3 {
+        put(
+            &boss,
+            "right.png",
+            &[png.as_slice(), &[0, 1][..more]].concat(),
+        );
+        let listed: Vec<PictureInfo> = ann.get("guide/pictures").ok();
+        assert_eq!(listed[0].bytes, png.len() + more);
+    }
+    put(&boss, "right.png", png);
+    assert_eq!(put(&boss, "..", png).code(), Code::Invalid);
     assert_eq!(put(&boss, "evil.svg", b"<svg/>").code(), Code::Invalid);
     assert_eq!(put(&ann, "right.png", png).code(), Code::Forbidden);
     let seen = ann.get("guide/pictures/right.png");

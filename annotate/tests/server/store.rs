@@ -8,15 +8,15 @@ use annotate::store::{
 };
 use annotate::wire::{
     Answer, Code, Decision, Empty, EventKind, EventResult, Home, JointChoice, JointWeight, Lease,
-    MaskAnswer, NewEvent, NewReview, Person, QueueInfo, ReviewQueue, RevisionState, Role, Settings,
-    SkipReason, TaskKind, TaskState, Verdict,
+    MaskAnswer, NewEvent, NewReview, Person, QueueInfo, ReviewQueue, RevisionState, Role, Rule,
+    RuleKind, Settings, SkipReason, TaskKind, TaskState, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
 
 use crate::support::{
     DAY, HOUR, Hands, MINUTE, ROOT, START, all_keys, bare_motion, bare_task, decision, event, join,
-    masks, pair, plain_settings, refusal, role, say, set, who, whole,
+    masks, pair, plain_settings, refusal, review, role, rule, say, set, who, whole,
 };
 
 /// Runs a test on a fresh store of each database.
@@ -913,6 +913,102 @@ fn the_work_of_a_disabled_user_goes_on_to_others_at_once() {
         let zoe = site.join("zoe", Role::Annotator);
         let got = BTreeSet::from([site.answer(zoe, "one"), site.answer(zoe, "two")]);
         assert_eq!(got, BTreeSet::from([returned, held]));
+    });
+}
+
+#[test]
+fn who_holds_a_task_when_its_clip_changes_must_look_at_the_new_one() {
+    each("changed clips", mask_tasks(2), |site| {
+        let ingest_anew = |before: &str, now: &str| {
+            let mut clips = site.store.motions(vec![before.to_owned()]).expect("clips");
+            clips[0].hash = now.to_owned();
+            let replaced = site.store.replace_motions(None, clips, site.now());
+            replaced.expect("replaced");
+        };
+        let task = site.take(site.ann);
+        let epoch = site.epoch(site.ann, task);
+        ingest_anew(&bare_motion().hash, "second");
+        // The page still shows the first content.
+        let blind = event(EventKind::Submit, epoch, 0, masks("hopping"));
+        let refused = site.send(site.ann, task, blind);
+        assert_eq!(problem(&refused), Code::LeaseLost);
+        let detail = refused.problem.expect("a problem").detail;
+        assert!(detail.contains("ingested anew"), "{detail}");
+        assert_eq!(site.state(task), TaskState::Open);
+        assert_eq!(site.take(site.ann), task);
+        assert_eq!(site.record(task).source, "second");
+        let mine = site.detail(site.ann, task).mine.expect("the draft");
+        site.submit(site.ann, task, mine.rev, masks("walking"));
+
+        // A reviewer who looks at the second content decides nothing about the third.
+        let (task, epoch) = site.review();
+        ingest_anew("second", "third");
+        for what in [Decision::Accept, Decision::Return, Decision::Drop] {
+            let review = site
+                .store
+                .review(site.eve, decision(task, epoch, what), site.now());
+            assert_eq!(refusal(review), Code::LeaseLost, "{what}");
+        }
+        assert_eq!(site.state(task), TaskState::Submitted);
+        assert!(site.record(task).changed);
+        site.judge(Decision::Accept);
+        assert!(!site.record(task).changed);
+    });
+}
+
+#[test]
+fn tasks_of_clips_that_left_the_dataset_are_given_to_nobody_until_these_are_back() {
+    let pair = NewTask {
+        source: "other".to_owned(),
+        target: Some(bare_motion().hash),
+        ..bare_task(9, TaskKind::Pair)
+    };
+    let tasks = [mask_tasks(3), vec![pair]].concat();
+    each("clips gone", tasks, |site| {
+        let handed_in = site.answer(site.ann, "waving");
+        let held = site.take(site.ann);
+        assert_eq!((site.open(site.bob), site.open(site.ann)), (1, 2));
+        let gone = vec![bare_motion().hash];
+        site.store.note_gone(None, gone, site.now()).expect("noted");
+        assert_eq!(site.state(held), TaskState::Open);
+        for user in [site.ann, site.bob] {
+            let empty = site.nothing(user, TaskKind::MaskText);
+            assert_eq!((empty.clip_gone, empty.total), (2, 3));
+            assert_eq!(site.open(user), 0);
+        }
+        assert_eq!(site.nothing(site.bob, TaskKind::Pair).clip_gone, 1);
+        let again = site.store.claim_task(site.ann, held, site.now());
+        assert_eq!(refusal(again), Code::WrongState);
+        assert!(review(&site.store, site.eve, ReviewQueue::Sample, site.now()).is_none());
+        site.store
+            .put_motions(vec![bare_motion()])
+            .expect("is back");
+        assert_eq!(site.take(site.ann), held);
+        assert_eq!(site.review().0, handed_in);
+        assert!(site.claim_pair(site.bob).is_some());
+    });
+}
+
+#[test]
+fn a_rule_of_equal_answers_compares_their_texts() {
+    each("equal answers", Vec::new(), |site| {
+        site.set(|settings| {
+            settings.answers_per_task = 2;
+            settings.rules = vec![Rule {
+                min_answers: 2,
+                ..rule("equal", RuleKind::Sampled)
+            }];
+        });
+        site.import(mask_tasks(2));
+        for (texts, state) in [
+            (["waving", "not waving"], TaskState::Submitted),
+            (["waving", "waving"], TaskState::Accepted),
+        ] {
+            let answers = [site.ann, site.bob].into_iter().zip(texts);
+            let tasks = answers.map(|(user, text)| site.answer(user, text));
+            let tasks: Vec<i64> = tasks.collect();
+            assert_eq!(site.state(tasks[0]), state, "{texts:?}");
+        }
     });
 }
 

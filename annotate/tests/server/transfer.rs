@@ -270,6 +270,12 @@ fn parquet_and_a_release_come_back_as_they_went_from_a_store_with_tasks_or_witho
     assert_eq!(*texts, json!(["waving", "waving, walking"]));
     let pairs = read_json(first.join("pairs.json"));
     assert_eq!(pairs.as_array().map(Vec::len), Some(2));
+    // Texts that an annotator could not have written are left out, and the rest is taken.
+    let mut hostile = document.clone();
+    hostile["part_annotations"]["clip00"][0] = json!("a\u{0}b");
+    let store = empty_store(&site, "hostile.sqlite");
+    let taken = from_release(&store, &hostile, None, START).expect("takes the rest");
+    assert_eq!(taken.counts["entries_refused"], 1, "{:?}", taken.messages);
     let full = fresh_store(&site, "full-2.sqlite");
     for (name, store) in [
         ("empty-2", empty_store(&site, "empty-2.sqlite")),
@@ -859,6 +865,43 @@ fn candidates_are_made_of_every_clip_and_variants_of_a_motion_are_no_mask_tasks(
     let funnel = store.funnel().expect("counts");
     let masks = funnel.iter().filter(|row| row.0 == TaskKind::MaskText);
     assert_eq!(masks.map(|row| row.2).sum::<i64>(), CLIPS as i64 - 2);
+}
+
+#[test]
+fn pairs_of_a_later_import_make_bundles_of_their_own() {
+    let site = Site::new();
+    let all: Vec<PairRow> = pair_rows(&site).into_values().collect();
+    let store = empty_store(&site, "later.sqlite");
+    let some: Vec<PairRow> = all.iter().skip(1).step_by(2).cloned().collect();
+    for rows in [&some, &all] {
+        commit(
+            &site.dataset,
+            rows,
+            |row| row.split,
+            &rows.len().to_string(),
+        );
+        take_dataset(&site, &store);
+    }
+    let tasks = (1..500).filter_map(|id| store.task_record(id).ok());
+    let places = tasks.filter_map(|task| Some((task.bundle?, task.bundle_index)));
+    let places: Vec<(i64, i64)> = places.collect();
+    assert!(places.iter().all(|(_, index)| (0..8).contains(index)));
+    let different: BTreeSet<_> = places.iter().collect();
+    assert_eq!(different.len(), places.len(), "{places:?}");
+}
+
+#[test]
+fn a_clip_that_repeats_another_one_now_has_lost_its_content() {
+    let site = Site::new();
+    let store = fresh_store(&site, "repeated.sqlite");
+    let mut motions: Vec<MotionRow> = read(&site.dataset);
+    motions[1] = MotionRow {
+        id: motions[1].id.clone(),
+        ..motions[0].clone()
+    };
+    commit(&site.dataset, &motions, |row| row.split, "repeated");
+    let taken = take_dataset(&site, &store);
+    assert_eq!(taken.counts["clips_gone"], 1, "{:?}", taken.messages);
 }
 
 #[test]

@@ -10,6 +10,7 @@ import { GuideBeside } from "./guide";
 import { KeyMap, PART_ACTIONS, chordOf, isAction, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
 import { adoptUnsent } from "./legacy";
+import { submitAgain } from "./late";
 import { Motions } from "./motions";
 import { Journal, Outbox, type OutboxStatus, type Outcome } from "./outbox";
 import { Parts } from "./parts";
@@ -175,6 +176,11 @@ export class App {
 
   go(path: string): void {
     window.history.pushState(null, "", `/app/${path}`);
+    void this.route();
+  }
+
+  /** Opens the present screen again, with what the server has now. */
+  reopen(): void {
     void this.route();
   }
 
@@ -392,7 +398,8 @@ export class App {
     const session = [...this.sessions].find((own) => own.chain === outcome.item.chain);
     if (session) await session.heard(outcome);
     else if (outcome.result.problem) {
-      this.toasts.show(`Task ${outcome.item.task}: ${outcome.result.problem.detail}`, { kind: "error", ms: 15_000 });
+      const words = await submitAgain(this, outcome);
+      if (words !== null) this.toasts.show(`Task ${outcome.item.task}: ${words}`, { kind: "error", ms: 60_000 });
     }
   }
 

@@ -134,6 +134,15 @@ export function kept<T>(key: string): T | null {
   }
 }
 
+/** Stores a value in `localStorage` for {@link kept}, if there is room. */
+export function keep(key: string, value: unknown): void {
+  try {
+    localStorage.setItem(key, JSON.stringify(value));
+  } catch {
+    // Storage is full: the value is lost on reload, and what the person types still works.
+  }
+}
+
 export function forgetHistory(chain: string): void {
   localStorage.removeItem(keyOf(chain));
 }

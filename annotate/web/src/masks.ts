@@ -18,15 +18,22 @@ export function rangeWords([start, end]: Span, fps: number | null = null): strin
   return `frames ${start + 1} to ${end}${secs}`;
 }
 
+/** Length in frames of a training window, 16 frames at 10 fps, in a clip of this rate; `SHORTEST_RANGE` is that at 20 fps. */
+export function shortestRange(fps: number): number {
+  const stride = fps / 10;
+  return Number.isInteger(stride) ? 15 * stride + 1 : Math.ceil((SHORTEST_RANGE / 20) * fps);
+}
+
 /**
  * Problem of a range in a clip of `frames` frames, in the server's words, to follow the mask's name; `null` if
  * there is none.
  */
-export function rangeProblem([start, end]: Span, frames: number): string | null {
+export function rangeProblem([start, end]: Span, frames: number, fps: number): string | null {
   const whole = "or let it hold for the whole clip";
   if (end > frames) return `holds up to frame ${end} of a clip of ${frames} frames; move its end, ${whole}`;
-  if (end - start < SHORTEST_RANGE) {
-    return `holds for ${end - start} frames, but a range needs ${SHORTEST_RANGE} at least, as many as a training window; widen it, ${whole}`;
+  const shortest = shortestRange(fps);
+  if (end - start < shortest) {
+    return `holds for ${end - start} frames, but a range needs ${shortest} at least, as many as a training window; widen it, ${whole}`;
   }
   return null;
 }

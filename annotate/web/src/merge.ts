@@ -30,17 +30,22 @@ export function differing(candidates: readonly Candidate[]): number {
   return union & ~common;
 }
 
-/** Concatenates both versions: the masks of both, or both texts. */
+/** Two texts below each other; one of them if the other is empty or the same. */
+function joined(mine: string, theirs: string): string {
+  return [...new Set([mine.trim(), theirs.trim()])].filter((text) => text !== "").join("\n");
+}
+
+/** Concatenates both versions: the masks of both, or both texts, and their notes. */
 export function both<A extends Answer>(mine: A, theirs: A): A {
   if (mine.kind === "mask_text" && theirs.kind === "mask_text") {
     const keyOf = (mask: MaskAnswer): string => `${maskKey(mask)} ${mask.text.trim()}`;
     const known = new Set(mine.masks.map(keyOf));
     const added = theirs.masks.filter((mask) => !known.has(keyOf(mask)));
-    return { ...mine, masks: [...mine.masks, ...added] };
+    return { ...mine, masks: [...mine.masks, ...added], count_reason: mine.count_reason ?? theirs.count_reason, note: joined(mine.note, theirs.note) };
   }
   if (mine.kind !== "mask_text" && theirs.kind !== "mask_text") {
-    const texts = [mine.text.trim(), theirs.text.trim()].filter((text) => text !== "");
-    return { ...mine, text: [...new Set(texts)].join("\n") };
+    const parts = mine.parts.length > 0 ? mine.parts : theirs.parts;
+    return { ...mine, parts, text: joined(mine.text, theirs.text), note: joined(mine.note, theirs.note) };
   }
   return mine;
 }

@@ -171,6 +171,9 @@ export class Outbox {
     this.writing.delete(item.key);
     this.journal.remove(item.key);
     for (const old of replaced) await this.store.remove("outbox", old.key);
+    // A send of another event may have loaded them again meanwhile.
+    const gone = new Set(replaced.map((old) => old.key));
+    this.items = this.items.filter((old) => !gone.has(old.key));
     void this.flush();
   }
 

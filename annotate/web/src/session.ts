@@ -17,6 +17,8 @@ export type Ending = "done" | "refused";
 /** Events whose working time the server counts. */
 const TIMED: ReadonlySet<EventKind> = new Set<EventKind>(["draft", "submit", "skip", "postpone"]);
 
+const hashesOf = ({ task }: TaskView): string => task.motions.map(({ hash }) => hash).join();
+
 export class TaskSession<A extends Answer> implements OpenSession {
   private draftTimer: number | null = null;
   private readonly heartbeat: number;
@@ -34,6 +36,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private claiming: Promise<boolean> | null = null;
   readonly chain: string;
   private readonly task: number;
+  /** Hashes of the motions that the page shows. */
+  private readonly shown: string;
 
   private constructor(
     private readonly app: App,
@@ -42,6 +46,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     private readonly onReplaced: (answer: A) => void,
   ) {
     this.task = view.task.id;
+    this.shown = hashesOf(view);
     this.chain = app.chain(view.task.id);
     this.lease = view.lease;
     this.rev = view.mine?.rev ?? 0;
@@ -313,7 +318,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     }
   }
 
-  /** Claims the task again after its lease was lost; true if this person holds it now. */
+  /** Claims the task again after its lease was lost; true if this person holds it now, and the page shows its clip. */
   private claimAgain(): Promise<boolean> {
     this.claiming ??= this.claim().finally(() => {
       this.claiming = null;
@@ -326,6 +331,12 @@ export class TaskSession<A extends Answer> implements OpenSession {
       const view = await this.app.api.post<TaskView>(`tasks/${this.task}/claim`);
       this.lease = view.lease;
       this.rev = Math.max(this.rev, view.mine?.rev ?? 0);
+      if (hashesOf(view) !== this.shown) {
+        const words = "The clip of this task was ingested anew, with other content. Look at it before you submit; your answer is kept as your draft.";
+        this.app.toasts.show(words, { id: "lease", kind: "error", ms: 20_000 });
+        this.app.reopen();
+        return false;
+      }
       this.app.toasts.show("Your time on this task had expired. You have it again; nothing is lost.", { id: "lease" });
       return true;
     } catch (error) {

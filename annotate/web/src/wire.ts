@@ -316,8 +316,7 @@ export type Captures = {
 export type Change = {
   seq: number,
   kind: string,
-  task: number | null,
-  mine: boolean, };
+  task: number | null, };
 
 /** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted whole. */
 export type DayWork = {
@@ -364,7 +363,8 @@ export type Empty = {
   soonest_expiry: number | null,
   skipped_by_me: number,
   dropped: number,
-  quota_full: number, };
+  quota_full: number,
+  clip_gone: number, };
 
 /** A figure with its interval. */
 export type Estimate = {

@@ -93,6 +93,12 @@ export function factsOf(task: Task): string[] {
   );
 }
 
+/** The captions of the motions of a task, each with what it describes. */
+export function captionsOf({ motions }: Task): string[] {
+  const sides = motions.length > 1 ? ["Source", "Target"] : ["Caption"];
+  return motions.flatMap(({ captions }, index) => captions.map((caption) => `${sides[index]}: ${caption}`));
+}
+
 export const DECISION_WORDS: Readonly<Record<string, string>> = {
   accepted: "accepted",
   merged: "merged and accepted",

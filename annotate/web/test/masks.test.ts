@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { compare } from "../src/compare";
 import { KeyMap } from "../src/keys";
 import { lintCards } from "../src/lints";
-import { maskWords, movedEnd, rangeProblem, rangeWords } from "../src/masks";
+import { maskWords, movedEnd, rangeProblem, rangeWords, shortestRange } from "../src/masks";
 import { both, describe } from "../src/merge";
 import { Parts } from "../src/parts";
 import { bits } from "../src/stage/body";
@@ -56,12 +56,13 @@ test("a range is told as people count frames", () => {
 
 test("a range that is too short says the length it needs, as the server does", () => {
   const whole = "or let it hold for the whole clip";
-  assert.equal(rangeProblem([4, 35], 40), null);
+  assert.equal(rangeProblem([4, 35], 40, 20), null);
+  assert.deepEqual([10, 20, 25, 60].map(shortestRange), [16, 31, 39, 91]);
   assert.equal(
-    rangeProblem([4, 34], 40),
+    rangeProblem([4, 34], 40, 20),
     `holds for 30 frames, but a range needs 31 at least, as many as a training window; widen it, ${whole}`,
   );
-  assert.equal(rangeProblem([4, 41], 40), `holds up to frame 41 of a clip of 40 frames; move its end, ${whole}`);
+  assert.equal(rangeProblem([4, 41], 40, 20), `holds up to frame 41 of a clip of 40 frames; move its end, ${whole}`);
 });
 
 test("an end moves as far as the other end and the clip", () => {

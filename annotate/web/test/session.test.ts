@@ -4,6 +4,7 @@ import { ApiError, Unreachable, newEvent } from "../src/api";
 import type { App } from "../src/app";
 import type { Version } from "../src/components/conflict-box";
 import { MemoryStore } from "../src/db";
+import { submitAgain } from "../src/late";
 import { Outbox } from "../src/outbox";
 import { Parts } from "../src/parts";
 import { TaskSession } from "../src/session";
@@ -21,6 +22,7 @@ class Desk {
   readonly replies: ((event: NewEvent) => Partial<EventResult> | Error)[] = [];
   claim: () => Promise<TaskView> = () => Promise.resolve(view());
   rev = 0;
+  reopened = 0;
   now = 0;
   private readonly timers = new Map<number, { at: number; run: () => void }>();
   private made = 0;
@@ -42,6 +44,9 @@ class Desk {
     parts: new Parts({ joints: [], parts: [] }),
     toasts: { show: (text: string) => this.toasts.push(text), fail: (error: Error, what: string) => this.toasts.push(what + error.message) },
     refreshChip: () => {},
+    reopen: () => {
+      this.reopened += 1;
+    },
     requireLogin: () => Promise.resolve(),
     showConflict: (_mine: unknown, _theirs: unknown, choose: (version: Version) => void) => {
       this.boxes.push(choose);
@@ -88,8 +93,8 @@ class Desk {
 
 const LEASE: Lease = { id: 1, task: 7, user: 1, epoch: 3, expires: 0 };
 
-function view(): TaskView {
-  return { task: { id: 7 }, lease: LEASE, mine: null, comment: null, suggestions: [], blind: false } as unknown as TaskView;
+function view(hash = "walk"): TaskView {
+  return { task: { id: 7, motions: [{ hash }] }, lease: LEASE, mine: null, comment: null, suggestions: [], blind: false } as unknown as TaskView;
 }
 
 let desk: Desk;
@@ -258,6 +263,34 @@ test("an answer that came after its lease had run out is submitted again by itse
   desk.replies.push(() => ({ status: 409, problem: problem(409, "lease_lost") }));
   assert.equal(await session.submit(answer("late")), "done");
   assert.deepEqual(desk.sent.map((event) => [event.kind, event.lease_epoch]), [["submit", 9]]);
+});
+
+test("an answer about the earlier content of a clip is not submitted again; the page opens the task with the new one", async () => {
+  const session = await open();
+  desk.claim = () => Promise.resolve({ ...view("another walk"), lease: { ...LEASE, epoch: 9 } });
+  desk.replies.push(() => ({ status: 409, problem: problem(409, "lease_lost") }));
+  assert.equal(await session.submit(answer("late")), "refused");
+  assert.deepEqual(desk.sent, []);
+  assert.equal(desk.reopened, 1);
+  assert.match(desk.toasts[0] ?? "", /ingested anew/);
+});
+
+test("an answer of a closed page that came after its lease had run out is submitted again, unless its clip changed", async () => {
+  const late = async (changed: boolean): Promise<string | null> => {
+    desk.claim = () => Promise.resolve({ ...view(), clip_changed: changed, lease: { ...LEASE, epoch: 9 } });
+    const event = newEvent("submit", { answer: answer("late"), lease_epoch: 3 });
+    const item = { key: "late", order: 1, user: 1, task: 7, chain: "store:1:7:closed", event, sent: true, problem: null };
+    const lost = problem(409, "lease_lost", { detail: "your lease on this task expired" });
+    const result: EventResult = { idem_key: "late", status: 409, seq: null, rev: 4, state: null, lease: null, problem: lost };
+    const words = await submitAgain(desk.app, { item, result });
+    await desk.outbox.drained();
+    return words;
+  };
+  assert.match((await late(true)) ?? "", /not submitted, because your lease/);
+  assert.equal(desk.sent.length, 0);
+  assert.equal(await late(false), null);
+  assert.deepEqual(desk.sent.map((event) => [event.kind, event.lease_epoch, event.base_rev]), [["submit", 9, 4]]);
+  desk.claim = () => Promise.reject(new Unreachable("down"));
 });
 
 test("a refused answer leaves the task open", async () => {

@@ -257,7 +257,7 @@ fn a_dataset_in_a_bucket_is_that_of_a_disk() {
     // The files of a second version have other names, and pruning keeps the files that it needs.
     let second = committed(&root, &rows[..3]);
     assert_eq!(second.manifest().version, 2);
-    let pruned = begin(&root).prune(1, false).expect("prunes");
+    let pruned = begin(&root).prune(1).expect("prunes");
     assert_eq!((pruned.versions, pruned.files), (vec![1], 1));
     assert_eq!(read(&Dataset::open(&root).expect("opens")), rows[..3]);
     let left = ByPath.files_below(&root).expect("listed");

@@ -23,5 +23,5 @@ pub use layout::{PRIVATE, ShardName};
 pub use open::Dataset;
 pub use shards::{SHARD_ROWS, table_facts};
 pub use staging::Staging;
-pub use tidy::{Pruned, descriptions};
+pub use tidy::{Pruned, descriptions, prunable};
 pub use transaction::{Commit, Transaction};

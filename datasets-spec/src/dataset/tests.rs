@@ -188,9 +188,22 @@ fn files_that_users_put_beside_the_tables_stay() {
     }
     commit_motions(dir.path(), &[row(1)]);
     let transaction = Transaction::begin(dir.path(), "t").expect("lock");
-    transaction.prune(1, false).expect("prunes");
+    transaction.prune(1).expect("prunes");
     assert!(users.iter().all(|name| dir.path().join(name).is_file()));
     assert!(!left.iter().any(|name| dir.path().join(name).exists()));
+}
+
+#[test]
+fn work_on_a_version_that_another_run_has_replaced_is_not_committed() {
+    let dir = tempfile::tempdir().expect("dir");
+    commit_motions(dir.path(), &[row(0)]);
+    let read = Dataset::open(dir.path()).expect("opens");
+    drop(Transaction::begin_after(&read, "t").expect("nothing came between"));
+    commit_motions(dir.path(), &[row(0), row(1)]);
+    let refused = Transaction::begin_after(&read, "t")
+        .map(drop)
+        .expect_err("refused");
+    assert_eq!(refused.code().expect("a code").0, "E-OVERTAKEN");
 }
 
 #[test]
@@ -484,17 +497,18 @@ fn pruning_keeps_the_newest_versions_and_their_files() {
     for index in 0..3 {
         commit_motions(dir.path(), &[row(index)]);
     }
-    let prune = |keep, dry_run| {
+    let prune = |keep| {
         let transaction = Transaction::begin(dir.path(), "test").expect("lock");
-        transaction.prune(keep, dry_run).expect("prunes")
+        transaction.prune(keep).expect("prunes")
     };
-    let asked = prune(2, true);
-    let done = prune(2, false);
+    let before = Dataset::open(dir.path()).expect("opens");
+    let asked = prunable(before.store().as_ref(), dir.path(), 2).expect("read");
+    let done = prune(2);
     assert_eq!(asked, done);
     assert_eq!((done.versions, done.files), (vec![1], 1));
     assert!(done.bytes > 0);
     let newest = Dataset::open(dir.path()).expect("opens");
     assert_eq!(newest.read::<MotionRow>(None).expect("reads"), [row(2)]);
-    assert_eq!(prune(1, false).versions, [2]);
-    assert_eq!(prune(1, false).versions, Vec::<u64>::new());
+    assert_eq!(prune(1).versions, [2]);
+    assert_eq!(prune(1).versions, Vec::<u64>::new());
 }

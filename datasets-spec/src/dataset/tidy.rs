@@ -16,7 +16,7 @@ use super::layout::{
 };
 use super::transaction::Transaction;
 use crate::manifest::Manifest;
-use crate::store::{aside, create_folder, if_exists, is_temporary, write_bytes};
+use crate::store::{Store, aside, create_folder, if_exists, is_temporary, write_bytes};
 use crate::{Error, card, croissant};
 
 /// Names and texts of the files in a dataset's root that describe it. They are made from its manifest only.
@@ -27,7 +27,7 @@ pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
     ]
 }
 
-/// Result of [`Transaction::prune`].
+/// Result of [`Transaction::prune`], or what it would remove.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pruned {
     /// Versions that were removed.
@@ -36,6 +36,38 @@ pub struct Pruned {
     pub files: u64,
     /// Total size of these files in bytes.
     pub bytes: u64,
+}
+
+/// The files that some versions name, with their sizes.
+fn files_of(
+    store: &dyn Store,
+    root: &Path,
+    versions: &[u64],
+) -> Result<BTreeMap<String, u64>, Error> {
+    let mut files = BTreeMap::new();
+    for version in versions {
+        let manifest = read_manifest(store, root, *version)?;
+        let entries = manifest.tables.into_values().flatten();
+        files.extend(entries.map(|file| (file.path, file.bytes)));
+    }
+    Ok(files)
+}
+
+/// What [`Transaction::prune`] would remove.
+///
+/// # Errors
+/// A manifest cannot be read.
+pub fn prunable(store: &dyn Store, root: &Path, keep: usize) -> Result<Pruned, Error> {
+    let files_of = |versions: &[u64]| files_of(store, root, versions);
+    let mut versions = manifest_versions(store, root)?;
+    let kept = versions.split_off(versions.len().saturating_sub(keep.max(1)));
+    let (mut old, named) = (files_of(&versions)?, files_of(&kept)?);
+    old.retain(|path, _| !named.contains_key(path));
+    Ok(Pruned {
+        versions,
+        files: old.len() as u64,
+        bytes: old.values().sum(),
+    })
 }
 
 impl Transaction {
@@ -51,41 +83,20 @@ impl Transaction {
         }
     }
 
-    /// Removes all versions but the newest `keep` (at least one), and data files that only these versions name. With
-    /// `dry_run` nothing is removed. At a URL no other run may write meanwhile: its uncommitted files would be removed.
+    /// Removes all versions but the newest `keep` (at least one), and data files that only these versions name. At a URL
+    /// no other run may write meanwhile: its uncommitted files would be removed.
     ///
     /// # Errors
     /// A manifest cannot be read, or a file cannot be removed.
-    pub fn prune(self, keep: usize, dry_run: bool) -> Result<Pruned, Error> {
-        let store = self.store.as_ref();
-        let mut versions = manifest_versions(store, &self.root)?;
-        let kept = versions.split_off(versions.len().saturating_sub(keep.max(1)));
-        let (mut old, named) = (self.files_of(&versions)?, self.files_of(&kept)?);
-        old.retain(|path, _| !named.contains_key(path));
-        if !dry_run {
-            // A version without a manifest does not exist, so remove manifests first.
-            for version in &versions {
-                self.remove(&manifest_path(&self.root, *version))?;
-            }
-            self.remove_staged(None)?;
-            self.remove_unnamed()?;
+    pub fn prune(self, keep: usize) -> Result<Pruned, Error> {
+        let pruned = prunable(self.store.as_ref(), &self.root, keep)?;
+        // A version without a manifest does not exist, so remove manifests first.
+        for version in &pruned.versions {
+            self.remove(&manifest_path(&self.root, *version))?;
         }
-        Ok(Pruned {
-            versions,
-            files: old.len() as u64,
-            bytes: old.values().sum(),
-        })
-    }
-
-    /// The files that some versions name, with their sizes.
-    fn files_of(&self, versions: &[u64]) -> Result<BTreeMap<String, u64>, Error> {
-        let mut files = BTreeMap::new();
-        for version in versions {
-            let manifest = read_manifest(self.store.as_ref(), &self.root, *version)?;
-            let entries = manifest.tables.into_values().flatten();
-            files.extend(entries.map(|file| (file.path, file.bytes)));
-        }
-        Ok(files)
+        self.remove_staged(None)?;
+        self.remove_unnamed()?;
+        Ok(pruned)
     }
 
     /// Moves the files of a committed version to their places, writes the files that derive from its manifest, and
@@ -121,7 +132,7 @@ impl Transaction {
         if others.peek().is_some() {
             let mut versions = manifest_versions(self.store.as_ref(), &self.root)?;
             versions.retain(|version| *version < newest.version);
-            let older = self.files_of(&versions)?;
+            let older = files_of(self.store.as_ref(), &self.root, &versions)?;
             for relative in others.filter(|relative| older.contains_key(relative)) {
                 let place = self.root.join(&relative);
                 if let Some(aside) = aside(&place) {
@@ -178,7 +189,7 @@ impl Transaction {
     /// Removes files of tables that no manifest names. Other files under `data/` are the user's.
     fn remove_unnamed(&self) -> Result<(), Error> {
         let versions = manifest_versions(self.store.as_ref(), &self.root)?;
-        let named = self.files_of(&versions)?;
+        let named = files_of(self.store.as_ref(), &self.root, &versions)?;
         let aside: BTreeSet<String> = named.keys().map(|path| beside(path)).collect();
         for relative in self.files_below(DATA)? {
             if is_shard(&relative) && !named.contains_key(&relative) {

@@ -99,6 +99,21 @@ impl Transaction {
         Ok(transaction)
     }
 
+    /// Begins a change that follows from what was read of a dataset, which may take long.
+    ///
+    /// # Errors
+    /// As [`Transaction::begin`], or another run has committed a version since.
+    pub fn begin_after(read: &Dataset, holder: &str) -> Result<Self, Error> {
+        let transaction = Self::begin(read.root(), holder)?;
+        match &transaction.base {
+            Some(base) if base.version == read.manifest().version => Ok(transaction),
+            newer => Err(Error::Overtaken {
+                path: transaction.root.clone(),
+                version: newer.as_ref().map_or(0, |base| base.version),
+            }),
+        }
+    }
+
     /// Whether the lock keeps other runs from writing to the dataset.
     pub fn is_alone(&self) -> bool {
         self.lock.is_some()

@@ -10,7 +10,8 @@ use datasets_spec::table::{Column, Row as _};
 use polars::prelude::PolarsError;
 use sqlparser::ast::{
     BinaryOperator, CastKind, DataType as SqlType, Expr, Function, FunctionArg, FunctionArgExpr,
-    FunctionArguments, Ident, ObjectName, Query, Select, SelectItem, Statement, TableFactor, Value,
+    FunctionArguments, GroupByExpr, Ident, ObjectName, OrderBy, OrderByExpr, OrderByKind,
+    OrderByOptions, Query, Select, SelectItem, SetExpr, Statement, TableFactor, Value,
     ValueWithSpan, Visit, VisitMut, Visitor, VisitorMut,
 };
 use sqlparser::dialect::GenericDialect;
@@ -120,7 +121,65 @@ fn parser(text: &str) -> Result<Parser<'static>, String> {
     Ok(parser.with_tokens(tokens))
 }
 
-pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String> {
+/// A query for polars.
+pub(crate) struct Rewritten {
+    pub(crate) text: String,
+    /// The order of its rows.
+    pub(crate) order: Order,
+    query: Box<Query>,
+}
+
+/// The order in which polars returns the rows of a query.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// That of its table.
+    Fixed,
+    /// The order that the query asks for. Rows that are equal in it come in any order.
+    Partial,
+    /// Any order.
+    None,
+}
+
+impl Rewritten {
+    /// The text with more columns to order by.
+    pub(crate) fn ordered_by(&self, columns: &[&str]) -> String {
+        let mut query = self.query.clone();
+        if let Some(OrderBy {
+            kind: OrderByKind::Expressions(expressions),
+            ..
+        }) = &mut query.order_by
+        {
+            expressions.extend(columns.iter().map(|name| OrderByExpr {
+                expr: Expr::Identifier(Ident::with_quote('"', *name)),
+                options: OrderByOptions::default(),
+                with_fill: None,
+            }));
+        }
+        query.to_string()
+    }
+}
+
+/// Whether a query reads the rows of one table, which polars returns in the order of the table.
+fn is_plain(query: &Query) -> bool {
+    let SetExpr::Select(select) = &*query.body else {
+        return false;
+    };
+    let Select {
+        distinct,
+        from,
+        group_by,
+        ..
+    } = &**select;
+    let is_one_table = match from.as_slice() {
+        [] => true,
+        [one] => one.joins.is_empty() && matches!(one.relation, TableFactor::Table { .. }),
+        _ => false,
+    };
+    let is_grouped = !matches!(group_by, GroupByExpr::Expressions(by, _) if by.is_empty());
+    query.with.is_none() && distinct.is_none() && is_one_table && !is_grouped
+}
+
+pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<Rewritten, String> {
     let mut parser = parser(text)?;
     let mut statements = parser
         .parse_statements()
@@ -136,7 +195,16 @@ pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String>
         return Err("it is not one SELECT, the only statement there is".to_owned());
     };
     visited(VisitMut::visit(query, &mut Rewriting { names }))?;
-    Ok(query.to_string())
+    let order = match (query.order_by.is_some(), is_plain(query)) {
+        (true, _) => Order::Partial,
+        (false, true) => Order::Fixed,
+        (false, false) => Order::None,
+    };
+    Ok(Rewritten {
+        order,
+        query: query.clone(),
+        text: query.to_string(),
+    })
 }
 
 pub(crate) fn rewrite_condition(text: &str, names: &Names) -> Result<String, String> {
@@ -167,6 +235,18 @@ struct Rewriting<'a> {
 
 impl VisitorMut for Rewriting<'_> {
     type Break = String;
+
+    /// Refuses a part of rows that come in no fixed order: the same query would have other answers.
+    fn pre_visit_query(&mut self, query: &mut Query) -> ControlFlow<String> {
+        let is_part = query.limit_clause.is_some() || query.fetch.is_some();
+        if is_part && query.order_by.is_none() && !is_plain(query) {
+            return ControlFlow::Break(
+                "LIMIT takes any rows where rows are grouped or joined; add an ORDER BY that tells all of them apart"
+                    .to_owned(),
+            );
+        }
+        ControlFlow::Continue(())
+    }
 
     /// Names results of functions by their text: `min(seconds)` and `max(seconds)` would otherwise have the same name.
     fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<String> {
@@ -347,13 +427,17 @@ impl Rewriting<'_> {
             }
         };
         let case = if any_case { "i" } else { "" };
-        let regex = regex_of(pattern, escape)?;
+        let any = match &list {
+            Some(_) => format!("[^{PARTING}]"),
+            None => ".".to_owned(),
+        };
+        let regex = regex_of(pattern, escape, &any)?;
         let not = if negated { "NOT " } else { "" };
         Ok(Some(match list {
-            // Each text is a line, which `.` does not cross. Without texts the test is null.
+            // A character that no text holds parts them. Without texts the test is null.
             Some(list) => format!(
-                "{not}regexp_like(NULLIF(array_to_string({list}, '\n'), ''), {})",
-                quoted(&format!("(?m{case})^{regex}$"))
+                "{not}regexp_like(NULLIF(array_to_string({list}, '{PARTING}'), ''), {})",
+                quoted(&format!("(?s{case})(?:^|{PARTING}){regex}(?:{PARTING}|$)"))
             ),
             None => format!(
                 "{not}regexp_like({subject}, {})",
@@ -430,8 +514,11 @@ fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }
 
-/// A pattern of `LIKE` as a regular expression.
-fn regex_of(pattern: &str, escape: Option<char>) -> Result<String, String> {
+/// Parts the texts of a list in a test of `LIKE`: the record separator.
+const PARTING: char = '\u{1e}';
+
+/// A pattern of `LIKE` as a regular expression, in which `any` stands for any character.
+fn regex_of(pattern: &str, escape: Option<char>, any: &str) -> Result<String, String> {
     let mut regex = String::new();
     let mut chars = pattern.chars();
     while let Some(next) = chars.next() {
@@ -444,8 +531,8 @@ fn regex_of(pattern: &str, escape: Option<char>) -> Result<String, String> {
                 };
                 regex += &regex::escape(&literal.to_string());
             }
-            '%' => regex += ".*",
-            '_' => regex.push('.'),
+            '%' => regex += &format!("{any}*"),
+            '_' => regex += any,
             literal => regex += &regex::escape(&literal.to_string()),
         }
     }

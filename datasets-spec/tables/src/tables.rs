@@ -3,9 +3,10 @@
 use datasets_spec::Dataset;
 use datasets_spec::record::{MotionRow, all_tables};
 use datasets_spec::table::Row as _;
+use polars::prelude::{DataFrame, PolarsResult, SortMultipleOptions};
 use polars::sql::SQLContext;
 
-use crate::rewrite::{Names, problem_of, rewrite_query};
+use crate::rewrite::{Names, Order, Rewritten, problem_of, rewrite_query};
 use crate::scan::Scan;
 use crate::{Answer, Error};
 
@@ -62,23 +63,55 @@ impl Tables {
         Ok(tables)
     }
 
-    /// Answers a `SELECT`. Only the columns that it names are read.
+    /// Answers a `SELECT`. Only the columns that it names are read. Rows of a query that groups or joins are sorted by
+    /// their columns where its `ORDER BY` does not tell them apart, since polars returns them in no fixed order.
     ///
     /// # Errors
-    /// The query cannot be understood, names an unknown table or column, or a table cannot be read.
+    /// The query cannot be understood, names an unknown table or column, or takes a part of rows in no fixed order, or a
+    /// table cannot be read.
     pub fn ask(&mut self, query: &str) -> Result<Answer, Error> {
         let fails = |problem: String| Error::Sql {
             text: shortened(query),
             problem,
         };
         let rewritten = rewrite_query(query, &self.names).map_err(fails)?;
-        let frame = self.context.execute(&rewritten);
-        let answer = frame.and_then(polars::prelude::LazyFrame::collect);
+        let answer = match rewritten.order {
+            Order::Fixed => self.collect(&rewritten.text),
+            Order::Partial => self.collect_ordered(&rewritten),
+            Order::None => self
+                .collect(&rewritten.text)
+                .and_then(|frame| sorted(&frame)),
+        };
         match answer {
             Ok(frame) => Ok(Answer::new(frame)),
-            Err(error) => Err(fails(problem_of(&rewritten, &error, &self.names))),
+            Err(error) => Err(fails(problem_of(&rewritten.text, &error, &self.names))),
         }
     }
+
+    fn collect(&mut self, text: &str) -> PolarsResult<DataFrame> {
+        self.context.execute(text)?.collect()
+    }
+
+    /// The rows of a query that orders them, and those that are equal in its order by their other columns.
+    fn collect_ordered(&mut self, query: &Rewritten) -> PolarsResult<DataFrame> {
+        let schema = self.context.execute(&query.text)?.collect_schema()?;
+        let columns = schema.iter().filter(|(_, dtype)| !dtype.is_nested());
+        let names: Vec<&str> = columns.map(|(name, _)| name.as_str()).collect();
+        // A result that cannot be ordered by, such as a column of both tables of a join, leaves the order of the query.
+        self.collect(&query.ordered_by(&names))
+            .or_else(|_| self.collect(&query.text))
+    }
+}
+
+/// The rows sorted by all columns but lists and structs, which have no order.
+fn sorted(frame: &DataFrame) -> PolarsResult<DataFrame> {
+    let columns = frame.columns().iter();
+    let columns = columns.filter(|column| !column.dtype().is_nested());
+    let names = columns.map(|column| column.name());
+    frame.sort(
+        names,
+        SortMultipleOptions::default().with_maintain_order(true),
+    )
 }
 
 /// The beginning of a query, for errors.

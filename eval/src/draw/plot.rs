@@ -142,6 +142,8 @@ const PADDING: f64 = 0.04;
 /// Width of a character in the legend, and space added to each entry, in pixels.
 const LEGEND_CHAR: f64 = 6.6;
 const LEGEND_GAP: f64 = 34.0;
+/// Height of a row of a legend below the axes in pixels.
+const LEGEND_ROW: f64 = 18.0;
 /// Width of a character of a title in pixels.
 const TITLE_CHAR: f64 = 7.6;
 /// Baseline of titles and of legends beside them in pixels.
@@ -154,7 +156,12 @@ pub fn plot(plot: &Plot) -> String {
     } else {
         plot.title.clone()
     };
-    let mut svg = open(SIZE.x, SIZE.y, &title);
+    let rows = legend_rows(&plot.curves);
+    let below = match rows.len() {
+        0 | 1 => 0.0,
+        count => LEGEND_ROW * count as f64,
+    };
+    let mut svg = open(SIZE.x, SIZE.y + below, &title);
     heading(&mut svg, &plot.title);
     let Some(axes) = Axes::around(plot) else {
         return without_values(svg);
@@ -164,13 +171,17 @@ pub fn plot(plot: &Plot) -> String {
         let path = axes.path(&curve.points);
         if !path.is_empty() {
             svg.push_str(&format!(
-                r#"<path d="{path}" fill="none" stroke="{}" stroke-width="1.8" stroke-linejoin="round" stroke-linecap="round"/>"#,
-                colour(index)
+                r#"<path d="{path}" fill="none" stroke="{}"{} stroke-width="1.8" stroke-linejoin="round" stroke-linecap="round"/>"#,
+                colour(index),
+                dashes(index)
             ));
         }
         axes.intervals(&mut svg, curve, colour(index));
     }
-    legend(&mut svg, &plot.title, &plot.curves);
+    match rows.as_slice() {
+        [_] => legend(&mut svg, &plot.title, &plot.curves),
+        rows => legend_below(&mut svg, &plot.curves, rows),
+    }
     svg + "</svg>"
 }
 
@@ -221,7 +232,7 @@ fn standing_bars(chart: &Bars, highest: f64, slot: f64) -> String {
     let top = ticks.last().copied().unwrap_or(highest).max(highest);
     let y_of = |value: f64| end.y - (end.y - start.y) * value / top;
     for tick in ticks {
-        grid_line(&mut svg, start.x, end.x, y_of(tick), tick);
+        grid_line(&mut svg, start.x, end.x, y_of(tick), tick, tick.abs());
     }
     for (index, (label, value)) in chart.bars.iter().enumerate() {
         let left = start.x + slot * index as f64;
@@ -331,22 +342,77 @@ fn without_values(mut svg: String) -> String {
     svg + "</svg>"
 }
 
-/// A horizontal line of the grid with its value.
-fn grid_line(svg: &mut String, left: f64, right: f64, y: f64, value: f64) {
+/// A horizontal line of the grid with its value, written for an axis of this span.
+fn grid_line(svg: &mut String, left: f64, right: f64, y: f64, value: f64, span: f64) {
     level_line(svg, left, right, y);
     let at = DVec2::new(left - 8.0, y + 4.0);
-    text(svg, at, "end", 11.0, FAINT, &tick_text(value, value.abs()));
+    text(svg, at, "end", 11.0, FAINT, &tick_text(value, span));
+}
+
+/// Attribute that dashes the curves for which no colour of their own is left; empty for the first ones.
+fn dashes(index: usize) -> &'static str {
+    const DASHES: [&str; 4] = [
+        "",
+        r#" stroke-dasharray="8 4""#,
+        r#" stroke-dasharray="2 4""#,
+        r#" stroke-dasharray="10 4 2 4""#,
+    ];
+    DASHES[index / COLOURS.len() % DASHES.len()]
+}
+
+/// Width of an entry of a legend, with the space before it.
+fn entry_width(curve: &Curve) -> f64 {
+    LEGEND_CHAR * curve.name.chars().count() as f64 + LEGEND_GAP
+}
+
+/// The curves of each row of a legend; no row for fewer than two curves.
+fn legend_rows(curves: &[Curve]) -> Vec<Vec<usize>> {
+    let mut rows: Vec<Vec<usize>> = Vec::new();
+    if curves.len() < 2 {
+        return rows;
+    }
+    let room = SIZE.x - MARGIN_START.x - MARGIN_END.x + LEGEND_GAP;
+    let mut used = f64::INFINITY;
+    for (index, curve) in curves.iter().enumerate() {
+        used += entry_width(curve);
+        match rows.last_mut() {
+            Some(row) if used <= room => row.push(index),
+            _ => {
+                rows.push(vec![index]);
+                used = entry_width(curve);
+            }
+        }
+    }
+    rows
+}
+
+/// An entry of a legend whose text ends at `right`.
+fn entry(svg: &mut String, index: usize, curve: &Curve, right: f64, y: f64) {
+    text(svg, DVec2::new(right, y), "end", 12.0, "", &curve.name);
+    let swatch = right - entry_width(curve) + LEGEND_GAP - 22.0;
+    svg.push_str(&format!(
+        r#"<path d="M{swatch:.1} {middle:.1}L{:.1} {middle:.1}" stroke="{}"{} stroke-width="3"/>"#,
+        swatch + 14.0,
+        colour(index),
+        dashes(index),
+        middle = y - 4.0,
+    ));
+}
+
+/// A legend of several rows below the axes.
+fn legend_below(svg: &mut String, curves: &[Curve], rows: &[Vec<usize>]) {
+    for (number, row) in rows.iter().enumerate() {
+        let y = SIZE.y + LEGEND_ROW * (number as f64 + 0.6);
+        let mut right = MARGIN_START.x - LEGEND_GAP + 22.0;
+        for &index in row {
+            right += entry_width(&curves[index]);
+            entry(svg, index, &curves[index], right, y);
+        }
+    }
 }
 
 fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
-    if curves.len() < 2 {
-        return;
-    }
-    let length = |name: &str| LEGEND_CHAR * name.chars().count() as f64;
-    let width: f64 = curves
-        .iter()
-        .map(|curve| length(&curve.name) + LEGEND_GAP)
-        .sum();
+    let width: f64 = curves.iter().map(entry_width).sum();
     let title_end = MARGIN_START.x + TITLE_CHAR * title.chars().count() as f64;
     // Entries are placed from the right edge inwards, the last curve first.
     let mut right = SIZE.x - MARGIN_END.x;
@@ -357,15 +423,8 @@ fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
         HEADING_Y + 15.0
     };
     for (index, curve) in curves.iter().enumerate().rev() {
-        text(svg, DVec2::new(right, y), "end", 12.0, "", &curve.name);
-        let swatch = right - length(&curve.name) - 22.0;
-        svg.push_str(&format!(
-            r#"<path d="M{swatch:.1} {middle:.1}L{:.1} {middle:.1}" stroke="{}" stroke-width="3" stroke-linecap="round"/>"#,
-            swatch + 14.0,
-            colour(index),
-            middle = y - 4.0,
-        ));
-        right -= length(&curve.name) + LEGEND_GAP;
+        entry(svg, index, curve, right, y);
+        right -= entry_width(curve);
     }
 }
 
@@ -414,13 +473,22 @@ impl Axes {
             Scale::Linear => linear_ticks(self.y.0, self.y.1),
             Scale::Log => log_ticks(self.y.0, self.y.1),
         };
+        let ticks = match (self.scale, ticks.len()) {
+            // A small range may lie between two such numbers.
+            (Scale::Log, 0 | 1) => linear_ticks(10f64.powf(self.y.0), 10f64.powf(self.y.1)),
+            _ => ticks,
+        };
         for tick in ticks {
             let on_axis = match self.scale {
                 Scale::Linear => tick,
                 Scale::Log => tick.log10(),
             };
             let y = self.place((self.x.0, on_axis)).y;
-            grid_line(svg, start.x, end.x, y, tick);
+            let span = match self.scale {
+                Scale::Linear => tick.abs(),
+                Scale::Log => tick.abs().min(10f64.powf(self.y.1) - 10f64.powf(self.y.0)),
+            };
+            grid_line(svg, start.x, end.x, y, tick, span);
         }
         level_line(svg, start.x, end.x, end.y);
         let ticks: Vec<(f64, String)> = if plot.x_names.is_empty() {

@@ -376,7 +376,16 @@ impl<'a> Drawn<'a> {
 
     /// Height of the label in pixels.
     fn label_height(&self) -> f64 {
-        LABEL_LINE * lines(&self.row.label, LABEL_CHARS).len() as f64 + FACTS_HEIGHT
+        let names = lines(&self.row.label, LABEL_CHARS).len();
+        let more = usize::from(self.lowest().is_some());
+        LABEL_LINE * (names + more) as f64 + FACTS_HEIGHT
+    }
+
+    /// The height of the lowest keypoint, if that is not the ground. Each row stands on its own ground, so a motion that
+    /// floats or sinks must say so.
+    fn lowest(&self) -> Option<String> {
+        let floor = self.row.floor();
+        (floor.abs() > FLOOR_TOLERANCE_M).then(|| format!("lowest {floor:+.2} m"))
     }
 
     /// Writes the row's name (wrapped), its duration, the distance that the body moves over the ground, and how far it is
@@ -402,13 +411,10 @@ impl<'a> Drawn<'a> {
         }
         let length = format!("{secs:.1} s at {} ", self.row.keypoints.fps);
         write(11.0, FAINT, length.trim_end());
-        // Each row stands on its own ground, so a motion that floats or sinks must say so.
-        let floor = self.row.floor();
-        let lowest = match floor.abs() > FLOOR_TOLERANCE_M {
-            true => format!(", lowest {floor:+.2} m"),
-            false => String::new(),
-        };
-        write(11.0, FAINT, &format!("moves {path_m:.2} m{lowest}"));
+        write(11.0, FAINT, &format!("moves {path_m:.2} m"));
+        if let Some(lowest) = self.lowest() {
+            write(11.0, FAINT, &lowest);
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use super::definition::{
 };
 use crate::Error;
 use crate::linalg::Matrix;
-use crate::protocol::draw_without_replacement;
+use crate::protocol::{Protocol, draw_without_replacement};
 
 const METRIC: &str = "Diversity";
 
@@ -22,6 +22,17 @@ pub static DIVERSITY: Metric = Metric {
     measure: Measure::Set(of_sample, Draws::Pairs),
 };
 
+/// Pairs of a bootstrap resample, as a multiple of its items: so many that their choice hardly changes the mean. With the
+/// pairs of one repeat, the interval would mostly show that choice.
+const RESAMPLED_PAIRS: usize = 20;
+
+/// Variance that the choice of pairs adds to a bootstrap resample of this many items, as a share of what it adds to a
+/// repeat.
+pub(crate) fn noise_of_resample(num_items: usize, protocol: &Protocol) -> f64 {
+    let num_pairs = protocol.diversity_pairs.min(num_items);
+    num_pairs as f64 / (RESAMPLED_PAIRS * num_items.max(1)) as f64
+}
+
 /// Smallest set from which two different motions can be drawn.
 pub const MIN_ROWS: usize = 2;
 
@@ -33,10 +44,17 @@ fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
         return Ok(None);
     }
     let mut rng = sample.protocol.rng("diversity", sample.draw);
-    let pairs = draw_pairs(num_drawn, num_pairs, &mut rng);
-    let [first, second] = pairs.map(|drawn| -> Vec<usize> {
-        drawn.into_iter().map(|place| sample.items[place]).collect()
-    });
+    let (rounds, num_pairs) = match sample.resampled {
+        true => (RESAMPLED_PAIRS, num_drawn),
+        false => (1, num_pairs),
+    };
+    let (mut first, mut second) = (Vec::new(), Vec::new());
+    for _ in 0..rounds {
+        let drawn = draw_pairs(num_drawn, num_pairs, &mut rng);
+        for (all, drawn) in [&mut first, &mut second].into_iter().zip(drawn) {
+            all.extend(drawn.into_iter().map(|place| sample.items[place]));
+        }
+    }
     // The latents were checked to be finite when they were encoded.
     let values = sample.sets.iter();
     let values = values.map(|latents| mean_distance(&latents.raw, &first, &second));
@@ -100,10 +118,14 @@ fn mean_distance(latents: &Matrix, first: &[usize], second: &[usize]) -> f64 {
 #[cfg(test)]
 mod tests {
     use datasets_spec::Seed;
+    use rand::RngExt;
 
     use super::*;
     use crate::golden::Golden;
-    use crate::protocol::T2M_DIVERSITY_PAIRS;
+    use crate::metric::Latents;
+    use crate::metric::interval::Interval;
+    use crate::protocol::{SET_RESAMPLES, T2M_DIVERSITY_PAIRS};
+    use crate::score::{Resamples, drawn};
 
     #[test]
     fn golden_diversity_agrees_with_the_reference() {
@@ -124,6 +146,63 @@ mod tests {
         let drawn =
             diversity(&latents, T2M_DIVERSITY_PAIRS, &mut Seed(1).rng(&["two"])).expect("valid");
         assert!(drawn == 0.0 || drawn == 5.0, "{drawn}");
+    }
+
+    #[test]
+    fn the_interval_is_as_wide_as_the_values_of_other_sets_vary() {
+        // Sets of 400 latents whose numbers are nearly normal.
+        let set = |number: u64| -> Latents {
+            let mut rng = Seed(number).rng(&["set"]);
+            let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+            let rows = (0..400).map(|_| [normal(), 2.0 * normal()]);
+            let raw = Matrix::from_rows(&rows.collect::<Vec<_>>());
+            Latents {
+                unit: raw.clone(),
+                raw,
+            }
+        };
+        let all = |latents: &Latents| {
+            let rows = 0..latents.raw.num_rows();
+            let pairs = rows.clone().flat_map(|a| rows.clone().map(move |b| (a, b)));
+            let (first, second): (Vec<usize>, Vec<usize>) = pairs.filter(|(a, b)| a < b).unzip();
+            mean_distance(&latents.raw, &first, &second)
+        };
+        let others: Vec<f64> = (1..101).map(|number| all(&set(number))).collect();
+        let count = others.len() as f64;
+        let mean = others.iter().sum::<f64>() / count;
+        let variance = others
+            .iter()
+            .map(|value| (value - mean).powi(2))
+            .sum::<f64>()
+            / count;
+
+        let (latents, protocol) = (set(0), Protocol::default());
+        let items: Vec<usize> = (0..400).collect();
+        let names: Vec<String> = items.iter().map(usize::to_string).collect();
+        let resamples = Resamples::new(names.iter().map(String::as_str), &protocol);
+        let value = |items: &[usize], draw: usize, resampled: bool| {
+            let sample = SetSample {
+                sets: &[&latents],
+                items,
+                fid_items: [&[], &[]],
+                draw,
+                resampled,
+                protocol: &protocol,
+            };
+            of_sample(&sample).expect("valid").expect("enough items")[0]
+        };
+        let weights = resamples.weights(SET_RESAMPLES).enumerate();
+        let resampled = weights.map(|(draw, weights)| value(&drawn(&items, &weights), draw, true));
+        let resampled: Vec<f64> = resampled.collect();
+        let repeats: Vec<f64> = (0..10).map(|draw| value(&items, draw, false)).collect();
+        let share = noise_of_resample(items.len(), &protocol);
+        let interval = Interval::of_resamples(mean, &resampled, &repeats, share);
+        // The mean of ten repeats varies by their pairs as well.
+        let kept = Interval::of(&repeats).ci95.expect("varies");
+        let expected = (1.96 * variance.sqrt()).hypot(kept);
+        // The standard deviations of 100 sets and of 100 resamples each have an error of 7 %.
+        let found = interval.ci95.expect("varies");
+        assert!((found / expected - 1.0).abs() < 0.3, "{found} {expected}");
     }
 
     #[test]

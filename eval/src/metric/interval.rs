@@ -77,20 +77,20 @@ impl Interval {
     /// A value with its bootstrap interval: the half width is 1.96 standard deviations of the resampled values. The
     /// mean of the resampled values is not used, because drawing with replacement shifts it.
     ///
-    /// If each resample is scored as one repeat, `repeats` holds the values whose mean is `mean`. A resample then
-    /// varies by the full variance between repeats, but the mean of n repeats by only 1/n of it; the difference is
-    /// subtracted.
+    /// If resamples and repeats draw at random, `repeats` holds the values whose mean is `mean`, and `share` is the
+    /// variance that the draws add to a resample, as a share of the variance between repeats. The mean of n repeats varies
+    /// by 1/n of that; the difference is subtracted.
     ///
     /// # Source
     /// Efron and Tibshirani 1993, Sec. 13.3, the standard normal interval.
-    pub(crate) fn of_resamples(mean: f64, resampled: &[f64], repeats: &[f64]) -> Self {
+    pub(crate) fn of_resamples(mean: f64, resampled: &[f64], repeats: &[f64], share: f64) -> Self {
         let (Some(spread), scatter) = (variance(resampled), variance(repeats).unwrap_or(0.0))
         else {
             return Self { mean, ci95: None };
         };
         let count = repeats.len().max(1) as f64;
         let kept = scatter / count;
-        let variance = (spread - (scatter - kept)).max(kept);
+        let variance = (spread - (share * scatter - kept)).max(kept);
         Self {
             mean,
             ci95: (variance > 0.0).then(|| NORMAL_95 * variance.sqrt()),
@@ -161,17 +161,20 @@ mod tests {
 
     #[test]
     fn resamples_spread_around_the_value_and_not_around_their_mean() {
-        let interval = Interval::of_resamples(10.0, &[1.0, 3.0], &[]);
+        let interval = Interval::of_resamples(10.0, &[1.0, 3.0], &[], 1.0);
         assert_eq!((interval.mean, interval.ci95), (10.0, Some(NORMAL_95)));
         for (resamples, repeats) in [(&[2.0; 5][..], &[1.0, 3.0][..]), (&[], &[])] {
-            assert_eq!(Interval::of_resamples(1.0, resamples, repeats).ci95, None);
+            let interval = Interval::of_resamples(1.0, resamples, repeats, 1.0);
+            assert_eq!(interval.ci95, None);
         }
         // The resamples have variance 1. Three quarters of the repeats' variance of 1/4 are subtracted from it. The
         // interval is at least as wide as the variation over repeats.
         let less = (1.0 - 0.25 * 0.75f64).sqrt();
-        for (size, expected) in [(1.0, less), (0.01, 0.25)] {
+        // Without noise of its own, a resample lacks that of the mean of four repeats.
+        let more = (1.0 + 0.25 * 0.25f64).sqrt();
+        for (size, share, expected) in [(1.0, 1.0, less), (0.01, 1.0, 0.25), (1.0, 0.0, more)] {
             let repeats = [0.5, -0.5, 0.5, -0.5];
-            let ci95 = Interval::of_resamples(0.0, &[size, -size], &repeats).ci95;
+            let ci95 = Interval::of_resamples(0.0, &[size, -size], &repeats, share).ci95;
             assert!((ci95.expect("varies") - NORMAL_95 * expected).abs() < 1e-15);
         }
     }

@@ -1,7 +1,7 @@
 //! Motion quality, independent of content: acceleration at the seams of generated windows, jerk, foot slide, and jumps
 //! of rotations.
 
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 use datasets_spec::{Fps, Pose};
 use kinematics::KeypointFrame;
@@ -75,9 +75,9 @@ const FEET: [usize; 4] = [7, 8, 10, 11];
 /// later window to its first frame that is not blended with the earlier window.
 pub type Seam = RangeInclusive<usize>;
 
-/// Layout of the windows that generated a motion, in order from its first frame. Each window repeats [`FIXED_FRAMES`]
+/// Layout of the windows that generated an edited range, in order from its first frame. Each window repeats [`FIXED_FRAMES`]
 /// frames of the previous one, and is blended with the previous window in further frames that they share. The last
-/// window ends with the motion, so it may begin earlier than `advance` says.
+/// window of a motion ends with it, so it may begin earlier than `advance` says; that of a range before the end is cut.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Windows {
     /// Number of frames in a window.
@@ -88,8 +88,8 @@ pub struct Windows {
     pub fps: Fps,
 }
 
-/// The seams, in frames at `fps`, of a motion with `num_frames` frames at `fps`.
-pub fn seams(num_frames: usize, fps: Fps, windows: Windows) -> Vec<Seam> {
+/// The seams, in frames at `fps`, of a motion with `num_frames` frames at `fps` of which a range was edited.
+pub fn seams(num_frames: usize, edited: Range<usize>, fps: Fps, windows: Windows) -> Vec<Seam> {
     let window = windows.frames;
     let per_model = fps.get() / windows.fps.get();
     let Some(last) = num_frames.checked_sub(1) else {
@@ -98,19 +98,31 @@ pub fn seams(num_frames: usize, fps: Fps, windows: Windows) -> Vec<Seam> {
     // If the motion's last frame lies between two model frames, it was generated up to the second one.
     let model_frames = (last as f64 / per_model - 1e-6).ceil().max(0.0) as usize + 1;
     let longest = window.saturating_sub(FIXED_FRAMES);
-    if !(1..=longest).contains(&windows.advance) || model_frames <= window {
+    if !(1..=longest).contains(&windows.advance) {
         return Vec::new();
     }
     let blended = longest - windows.advance;
     let at = |frame: usize| frame as f64 * per_model;
-    let mut starts: Vec<usize> = (0..=model_frames - window)
-        .step_by(windows.advance)
-        .collect();
-    if starts
-        .last()
-        .is_some_and(|start| start + window < model_frames)
-    {
-        starts.push(model_frames - window);
+    // The first model frame at or after a frame.
+    let model_frame = |frame: usize| (frame as f64 / per_model - 1e-6).ceil().max(0.0) as usize;
+    let end = match edited.end >= num_frames {
+        true => model_frames,
+        false => model_frame(edited.end),
+    };
+    // The editor begins at the first frame where it would begin at the second.
+    let first = Some(model_frame(edited.start)).filter(|frame| *frame >= FIXED_FRAMES);
+    let first = first.unwrap_or(0);
+    let latest = model_frames.saturating_sub(window);
+    let (mut starts, mut next, mut made) = (Vec::new(), first, first);
+    while made < end {
+        let natural = next.saturating_sub(FIXED_FRAMES);
+        let start = match latest + FIXED_FRAMES >= first {
+            true => natural.min(latest),
+            false => natural,
+        };
+        starts.push(start);
+        made = end.min(start + window);
+        next = made - blended;
     }
     starts
         .into_iter()
@@ -252,6 +264,7 @@ mod tests {
             fps,
         };
         let apart = windows(14, Fps::MODEL);
+        let seams = |len, fps, windows| seams(len, 0..len, fps, windows);
         assert_eq!(seams(59, FPS, apart), [30..=32]);
         // Windows start at frames 0 and 14 for 30 frames; the 31st frame needs a window at 15.
         assert_eq!(seams(61, FPS, apart), [30..=32, 32..=34]);
@@ -262,6 +275,17 @@ mod tests {
         // Windows start at frames 0, 10 and 14; the second overlaps the first in frames 12 to 15, which are blended.
         assert_eq!(seams(59, FPS, windows(10, Fps::MODEL)), [22..=32, 30..=40]);
         assert!(seams(59, FPS, windows(15, Fps::MODEL)).is_empty());
+
+        // Windows of a range start two frames before it: at the model's frames 8 and 22 for the frames 20 to 59.
+        let of_range = |range| super::seams(81, range, FPS, apart);
+        assert_eq!(of_range(20..60), [46..=48]);
+        // Frames 20 to 47 are the 14 new ones of one window.
+        assert!(of_range(20..48).is_empty());
+        assert_eq!(of_range(20..49), [46..=48]);
+        // The last window ends with the motion, and starts at 25.
+        assert_eq!(of_range(20..81), [46..=48, 52..=54]);
+        // A range too near to the end for a window.
+        assert!(of_range(70..81).is_empty());
 
         let mut jump = moving(59, |t| DVec3::X * t);
         for frame in &mut jump[32..] {

@@ -2,6 +2,7 @@
 //! dropped after they are measured.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Fps, JointSet, Motion, Progress, Skeleton};
@@ -157,6 +158,8 @@ struct Asked<'a> {
     other: Option<Motion>,
     /// Joints that the item asks to change.
     edited: JointSet,
+    /// Frames of the source that the item asks to change.
+    frames: Range<usize>,
     of_target: Target,
 }
 
@@ -169,6 +172,7 @@ impl<'a> Asked<'a> {
             source: row.source()?,
             other: row.other_take()?,
             edited: row.edited_joints()?,
+            frames: row.edited_frames()?,
             of_target: Target {
                 from_start: from_start(&points),
                 foot_slide: motion_quality::foot_slide(&points, target.fps()),
@@ -307,7 +311,7 @@ impl OfMotions<'_> {
         let distances = distances(&found, &asked.of_target.from_start);
         let windows = edit.and_then(windows_of).or(self.windows);
         let seams = windows.map_or_else(Vec::new, |windows| {
-            motion_quality::seams(motion.len(), fps, windows)
+            motion_quality::seams(motion.len(), asked.frames.clone(), fps, windows)
         });
         let sample = MotionSample {
             motion,

@@ -17,9 +17,10 @@ use crate::answered::Answered;
 use crate::compare::{Comparison, Pairing};
 use crate::evaluators::{Evaluators, MotionEncoder};
 use crate::judge::TOLD_APART;
+use crate::metric::diversity::noise_of_resample;
 use crate::metric::interval::{Interval, MIN_TARGETS, mean_of_known};
 use crate::metric::retrieval::E2T_RECALL_1;
-use crate::metric::{self, CLAIMS, Measure, Metric, RankSummary};
+use crate::metric::{self, CLAIMS, Draws, Measure, Metric, RankSummary};
 use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 use crate::table::Items;
@@ -182,11 +183,17 @@ impl<'a> OfTask<'a> {
                     Some(resampled) => {
                         let resampled = resampled[position].get(metric);
                         let resampled = resampled.map_or(&[][..], Vec::as_slice);
-                        let repeats = match metric.measure {
-                            Measure::Set(..) => &found[..],
-                            Measure::Motion(_) | Measure::Takes(_) | Measure::Rank(..) => &[],
+                        let num_items = self.counts.count as usize;
+                        let (repeats, share) = match metric.measure {
+                            Measure::Set(_, Draws::Halves) => (&found[..], 1.0),
+                            Measure::Set(_, Draws::Pairs) => {
+                                (&found[..], noise_of_resample(num_items, protocol))
+                            }
+                            Measure::Motion(_) | Measure::Takes(_) | Measure::Rank(..) => {
+                                (&[][..], 0.0)
+                            }
                         };
-                        Interval::of_resamples(over_repeats.mean, resampled, repeats)
+                        Interval::of_resamples(over_repeats.mean, resampled, repeats, share)
                     }
                 };
                 scores.push(row(metric.name, interval));
@@ -346,5 +353,5 @@ fn told_apart(of_items: [&OfItems; 2], resamples: &Resamples) -> Interval {
     });
     let differences: Vec<f64> = real.iter().zip(identity).map(|(a, b)| a - b).collect();
     let mean = mean_of_known(&differences).unwrap_or(0.0);
-    Interval::of_resamples(mean, &resamples.means(&differences), &[])
+    Interval::of_resamples(mean, &resamples.means(&differences), &[], 0.0)
 }

@@ -126,7 +126,7 @@ mod tests {
     fn spread(targets: &[&str], values: &[f64]) -> f64 {
         let resamples = Resamples::new(targets.iter().copied(), &Protocol::default());
         let mean = values.iter().sum::<f64>() / values.len() as f64;
-        let interval = Interval::of_resamples(mean, &resamples.means(values), &[]);
+        let interval = Interval::of_resamples(mean, &resamples.means(values), &[], 0.0);
         interval.ci95.unwrap_or(0.0)
     }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use datasets_spec::record::ScoreRow;
 
 use crate::metric::interval::{Interval, MIN_TARGETS};
+use crate::protocol::Protocol;
 
 /// Averages scores over trainings. Each element holds the rows of one training, all of the same items. The result has
 /// one row for each task, system and metric, in the order in which they first appear. A system may be missing from some
@@ -31,10 +32,13 @@ pub fn over_trainings(trainings: &[Vec<ScoreRow>]) -> Vec<ScoreRow> {
     order
         .into_iter()
         .map(|row| {
-            let Interval { mean, ci95 } =
-                Interval::over_trainings(&values[&[&*row.task, &*row.system, &*row.metric]]);
-            // Without the variance over items, the interval would be too narrow.
-            let is_known = row.targets == 0 || row.targets >= MIN_TARGETS;
+            let of_trainings = &values[&[&*row.task, &*row.system, &*row.metric]];
+            let Interval { mean, ci95 } = Interval::over_trainings(of_trainings);
+            // Without the variance over items, the interval would be too narrow. A metric that few of the targets have
+            // has none in any training.
+            let has_variance = !Protocol::is_drawn_from_targets(&row.protocol)
+                || of_trainings.iter().any(|value| value.ci95.is_some());
+            let is_known = row.targets == 0 || (row.targets >= MIN_TARGETS && has_variance);
             ScoreRow {
                 mean,
                 ci95: ci95.filter(|_| is_known),
@@ -80,6 +84,15 @@ mod tests {
             assert!((row.ci95.expect("varies") - ci95).abs() < tolerance);
         }
         assert_eq!((all[2].mean, all[2].ci95), (4.0, None));
+        // A metric that few targets have: its trainings differ, and none has an interval.
+        let of_targets = |mean: f64| ScoreRow {
+            protocol: "95 % intervals from 1000 draws of the targets".to_owned(),
+            targets: 40,
+            ..row("ours", mean, None)
+        };
+        let few = [1.0, 2.0, 3.0].map(|mean| vec![of_targets(mean)]);
+        let all = over_trainings(&few);
+        assert_eq!((all[0].mean, all[0].ci95), (2.0, None));
     }
 
     #[test]

@@ -62,11 +62,11 @@ impl Stream {
                 .iter()
                 .filter(|&&clip| self.library.may_meet(clip, subject))
                 .count() as u64;
-            let partners = if self.config.fixed_pairs { 1 } else { partners };
             let ways = self.library.edit(subject).halves.len().max(1) as u64;
-            // A pair that never gets a donor counts as one pair.
+            // A pair that never gets a donor, or always the same one, counts as one pair.
             let is_captured = self.library.undonored_ratio(subject, &self.config) >= 1.0;
-            let count = if is_captured { 1 } else { partners * ways };
+            let is_one = is_captured || self.config.fixed_pairs;
+            let count = if is_one { 1 } else { partners * ways };
             *annotated.entry(kind).or_default() += 1;
             *distinct_pairs.entry(kind).or_default() += count;
         }

@@ -141,6 +141,10 @@ impl Stream {
     /// # Panics
     /// If the triplet is another stream's.
     pub fn with_hard_mask(&self, triplet: &Triplet) -> Result<Motion, Error> {
+        // A pair without a donor is not blended.
+        if triplet.mask.is_empty() {
+            return Ok(triplet.edited.clone());
+        }
         let under = match triplet.donor_ids.first() {
             Some(donor) => self.stretch(donor, triplet.donor_start, triplet)?,
             None => triplet.original.clone(),

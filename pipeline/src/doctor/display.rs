@@ -77,7 +77,7 @@ impl fmt::Display for Diagnosis {
             estimate.map(|(name, value)| vec![name.to_owned(), value]),
         )?;
         if self.advice.is_empty() {
-            return writeln!(f, "nothing is missing");
+            return writeln!(f, "nothing to do before ingesting");
         }
         writeln!(f, "to do")?;
         for advice in &self.advice {

@@ -21,8 +21,8 @@ fn shortened(part: String) -> String {
     format!("{}~{hash}", &part[..begin])
 }
 
-/// A relative path for an id that is valid on every file system: special characters become `_`, no component is
-/// empty or a dot path, and long ones are shortened.
+/// A relative path for an id: characters that some file systems refuse become `_`, no component is empty or a dot path,
+/// and long ones are shortened.
 pub(super) fn safe_path(id: &str) -> String {
     let parts: Vec<String> = id
         .split('/')

@@ -308,7 +308,8 @@ impl Motions<'_> {
         let mut start = 0;
         let mut made: VecDeque<usize> = VecDeque::new();
         for (at, &(x, index)) in order.iter().enumerate() {
-            while !is_near(order[start].0, x) {
+            // A centre that is not finite is near to nothing, not even to itself.
+            while start < at && !is_near(order[start].0, x) {
                 start += 1;
             }
             while made.front().is_some_and(|place| *place < start) {

@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::Progress;
 use datasets_spec::dataset::Staging;
 use datasets_spec::store::ByPath;
+use datasets_spec::{Progress, Split};
 use serde::Serialize;
 
 use super::fates::{Fate, Fates};
@@ -69,7 +69,7 @@ pub struct SourceForecast {
 }
 
 /// Forecasts the result of [`ingest`](super::ingest) with the same arguments. Nothing is written, and nothing is
-/// locked.
+/// locked. Ranges of masks at another rate, and words that files no longer give, are known only once all clips are read.
 ///
 /// # Errors
 /// A source does not exist or is ambiguous, or the dataset cannot be read. Other reasons to refuse the run are in
@@ -89,7 +89,8 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     let mut fates = Fates::of(&plan, recorded, options.prune);
     let changed: BTreeSet<String> = fates.changed().map(str::to_owned).collect();
     prepared.settle_now(&plan, &mut fates, &changed, progress);
-    let lost = prepared.labels(&fates);
+    let mut lost = prepared.labels(&fates);
+    lost.follow(&plan.splits_now(recorded));
     let mut refusals = Vec::new();
     let mut refuse = |checked: Result<(), Error>| {
         refusals.extend(checked.err().map(|error| error.to_string()));
@@ -116,6 +117,17 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
 }
 
 impl Plan {
+    /// The split of every clip, if all planned ones are ingested.
+    pub(super) fn splits_now<'a>(&'a self, recorded: &'a Recorded) -> BTreeMap<&'a str, Split> {
+        let known = recorded.clips.iter();
+        let known = known.map(|clip| (clip.id.as_str(), clip.split));
+        // Of several motions with one id, the first is ingested. Reversed, it comes last and replaces the others.
+        let planned = self.items.iter().rev().filter(|item| !item.is_kept);
+        known
+            .chain(planned.map(|item| (item.id.as_str(), item.split)))
+            .collect()
+    }
+
     fn forecast(&self, recorded: &Recorded, fates: &Fates<'_>) -> Vec<SourceForecast> {
         let mut sources: BTreeMap<&str, SourceForecast> = BTreeMap::new();
         for given in &self.notes.given {

@@ -29,10 +29,14 @@ pub struct Growth {
     pub pruned: Vec<String>,
     /// Masks and pairs that stay.
     pub labels: BTreeMap<String, u64>,
-    /// Masks and pairs that are lost, with the reason. The previous version keeps them.
+    /// Labels that are lost, with the reason: masks and pairs, and columns of clips that their files no longer give. The
+    /// previous version keeps them.
     pub lost: Vec<LostLabel>,
     /// Number of masks of sources that are left out, because people have replaced or removed them since.
     pub gave_way: u64,
+    /// Number of labels of people, by table, that their source gives otherwise now. The dataset keeps its own.
+    #[serde(default)]
+    pub differ: BTreeMap<String, u64>,
     /// Number of automatic masks and pairs of clips that changed or were removed, by table. Their stages make those of changed
     /// clips again.
     pub removed: BTreeMap<String, u64>,
@@ -51,12 +55,12 @@ impl LostLabel {
     }
 }
 
-/// A mask or pair whose clip changed or was removed.
+/// A mask or pair whose clip changed or was removed, or a column of a clip that is empty now.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LostLabel {
-    /// The table: masks or pairs.
+    /// The table, masks or pairs, or the column of the clip.
     pub table: String,
-    /// Id of the row.
+    /// Id of the row, or of the clip.
     pub id: String,
     /// Id of the clip.
     pub clip: String,

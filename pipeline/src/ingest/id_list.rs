@@ -52,6 +52,11 @@ impl IdList {
         Self { lines, names }
     }
 
+    /// The listed names and patterns.
+    pub(crate) fn into_names(self) -> BTreeSet<String> {
+        self.names
+    }
+
     /// BLAKE3 of the listed names and patterns, hexadecimal.
     pub(super) fn hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();

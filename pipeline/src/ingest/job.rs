@@ -64,7 +64,8 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.
     prepared.refuse_mixture(destination, &fates)?;
     prepared.refuse_common_ids(destination, &plan, &fates)?;
-    let labels = prepared.labels(&prepared.foreseen(&plan, &fates, progress));
+    let mut labels = prepared.labels(&prepared.foreseen(&plan, &fates, progress));
+    labels.follow(&plan.splits_now(&prepared.base.recorded));
     prepared.refuse_loss(destination, &labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);
     let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);

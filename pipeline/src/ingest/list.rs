@@ -99,7 +99,10 @@ impl<'a> Located<'a> {
             };
             (path, is_file)
         } else {
-            let metadata = fs::metadata(&arg.path).map_err(|_| missing())?;
+            let metadata = fs::metadata(&arg.path).map_err(|error| match error.kind() {
+                NotFound => missing(),
+                _ => datasets_spec::Error::io("read", &arg.path)(error).into(),
+            })?;
             let path = fs::canonicalize(&arg.path).unwrap_or_else(|_| arg.path.clone());
             (path, metadata.is_file())
         };

@@ -13,6 +13,7 @@ use formats::source::ReadOptions;
 
 use super::deal::SHARD_SOURCES;
 use super::fates::{Fates, Reread};
+use super::growth::LostLabel;
 use super::kept::Labels;
 use super::known::Known;
 use super::list::{Listed, without_extension};
@@ -230,6 +231,23 @@ impl Prepared {
 
     pub(super) fn refuse_loss(&self, root: &Path, labels: &Labels) -> Result<(), Error> {
         check_lost(root, &labels.lost, self.options.drop_labels)
+    }
+
+    /// Refuses to lose what the files of clips no longer say about them, unless that is allowed.
+    pub(super) fn refuse_gone(&self, root: &Path, gone: &[LostLabel]) -> Result<(), Error> {
+        if self.options.drop_labels || gone.is_empty() {
+            return Ok(());
+        }
+        let shown: Vec<String> = gone
+            .iter()
+            .map(|label| format!("{} of {}", label.table, label.clip))
+            .collect();
+        Err(Error::refused(format!(
+            "the files of {} no longer give {}; nothing was changed. Put the files with labels back, or pass --drop-labels \
+             to go on without them (the version before keeps them)",
+            root.display(),
+            some_of(shown.iter().map(String::as_str))
+        )))
     }
 
     /// Refuses the run if it would keep clips that were read with another value of a setting that all clips must share.

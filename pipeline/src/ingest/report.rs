@@ -219,12 +219,17 @@ impl Tally {
     }
 
     /// The masks that stay and those that came with clips of this run. A mask whose id exists already stays as it is,
-    /// because people may have changed it.
-    pub(super) fn masks(&self, mut masks: Vec<MaskRow>) -> Vec<MaskRow> {
+    /// because people may have changed it; the number of those that the source gives otherwise is returned too.
+    pub(super) fn masks(&self, mut masks: Vec<MaskRow>) -> (Vec<MaskRow>, u64) {
         let taken = masks.iter().map(|mask| (&mask.id, &mask.motion_id));
         let mut taken: BTreeMap<String, MotionId> = taken
             .map(|(id, motion)| (id.clone(), motion.clone()))
             .collect();
+        let staying: BTreeMap<String, MaskRow> = masks
+            .iter()
+            .map(|mask| (mask.id.clone(), mask.clone()))
+            .collect();
+        let mut differ = 0;
         let mut numbers: BTreeMap<&MotionId, usize> = BTreeMap::new();
         for mask in &self.masks {
             let next = numbers.entry(&mask.motion_id).or_default();
@@ -232,6 +237,12 @@ impl Tally {
             *next += 1;
             let own = (!mask.id.is_empty()).then(|| mask.id.clone());
             if own.as_ref().and_then(|id| taken.get(id)) == Some(&mask.motion_id) {
+                let stays = own.and_then(|id| staying.get(&id));
+                let of_source = stays.map(|stays| MaskRow {
+                    split: stays.split,
+                    ..mask.clone()
+                });
+                differ += u64::from(stays != of_source.as_ref());
                 continue;
             }
             let base = match &own {
@@ -245,7 +256,7 @@ impl Tally {
             taken.insert(id.clone(), mask.motion_id.clone());
             masks.push(MaskRow { id, ..mask.clone() });
         }
-        masks
+        (masks, differ)
     }
 
     pub(super) fn splits<'a>(&'a self, plan: &'a Plan) -> BTreeMap<&'a str, Split> {

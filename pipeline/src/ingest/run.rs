@@ -13,12 +13,13 @@ use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::rejected::{RejectedMask, RejectedMasks};
-use datasets_spec::table::{Row, read_column, read_rows};
+use datasets_spec::table::{Row, ShardReader, read_column, read_rows};
 use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
 
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
 use super::fates::{Fates, Files, Reread};
+use super::growth::LostLabel;
 use super::kept::{Outside, Timing};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
@@ -31,7 +32,7 @@ use super::shard::ShardNotes;
 use super::sources::SOURCES_FACT;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::clip_table::{ClipRow, is_composed};
+use crate::clip_table::{ClipRow, ClipWords, is_composed};
 use crate::facts::json;
 use crate::versions::{is_mask_of_people, is_mask_of_source};
 use work::{self, Failed, Made, Piece};
@@ -77,8 +78,10 @@ fn by_content(file: &FileEntry) -> (&str, &str) {
 }
 
 /// The pairs that stay, by id, and those that came with clips. A pair whose id exists already stays as it is, because
-/// people may have changed it; a different pair under a taken id gets another id.
-fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> BTreeMap<String, PairRow> {
+/// people may have changed it; a different pair under a taken id gets another id. Also returns the number of pairs that
+/// stay and that their source gives otherwise now.
+fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> (BTreeMap<String, PairRow>, u64) {
+    let mut differ = 0;
     let mut rows: BTreeMap<String, PairRow> = BTreeMap::new();
     rows.extend(staying.into_iter().map(|row| (row.id.clone(), row)));
     let stays: BTreeSet<String> = rows.keys().cloned().collect();
@@ -87,7 +90,8 @@ fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> BTreeMap<String, Pair
             let sides = |row: &PairRow| (row.source_id.clone(), row.target_id.clone());
             *there == row || (stays.contains(&row.id) && sides(there) == sides(&row))
         };
-        if rows.get(&row.id).is_some_and(is_known) {
+        if let Some(there) = rows.get(&row.id).filter(|there| is_known(there)) {
+            differ += u64::from(*there != row);
             continue;
         }
         let numbered = (2..).map(|number| format!("{}/{number}", row.id));
@@ -96,12 +100,14 @@ fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> BTreeMap<String, Pair
         let id = id.expect("numbers do not end");
         rows.insert(id.clone(), PairRow { id, ..row });
     }
-    rows
+    (rows, differ)
 }
 
 /// The pairs of the dataset, and the dropped and refused ones.
 struct Pairs {
     rows: Vec<PairRow>,
+    /// Number of pairs that their source gives otherwise now.
+    differ: u64,
     dropped: u64,
     refused: Vec<RefusedLine>,
 }
@@ -205,12 +211,23 @@ impl Run<'_> {
             labels.place(&before.unwrap_or_default(), &of(&tally.tables)?);
         }
         prepared.refuse_loss(&root, &labels)?;
+        let gone = self.gone_words(&tally)?;
+        prepared.refuse_gone(&root, &gone)?;
         let mut growth = self.fates.report(plan, &tally.ingested);
         growth.count(&labels);
+        growth.lost.extend(gone);
         let alike = tally.alike.report(&tally.splits(plan));
-        let masks;
-        (masks, growth.gave_way) = self.masks(labels.masks, &tally)?;
+        let (masks, gave_way, masks_differ) = self.masks(labels.masks, &tally)?;
         let pairs = self.pairs(labels.pairs, &tally)?;
+        growth.gave_way = gave_way;
+        let differ = [
+            (MaskRow::TABLE, masks_differ),
+            (PairRow::TABLE, pairs.differ),
+        ];
+        let differ = differ.into_iter().filter(|(_, count)| *count > 0);
+        growth.differ = differ
+            .map(|(table, count)| (table.to_owned(), count))
+            .collect();
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
         if !is_same || !self.fates.nothing_changed() {
@@ -303,6 +320,36 @@ impl Run<'_> {
             .map(|clip| (clip.id.to_string(), clip.split))
             .collect();
         Ok(tally)
+    }
+
+    /// The captions, performers, actions and styles of clips that their files no longer give: whole columns, since texts
+    /// that changed are replaced.
+    fn gone_words(&self, tally: &Tally) -> Result<Vec<LostLabel>, Error> {
+        let mut gone = Vec::new();
+        let Some(base) = self.transaction.base() else {
+            return Ok(gone);
+        };
+        if self.fates.nothing_changed() {
+            return Ok(gone);
+        }
+        let said_in = |tables: &Files| -> Result<BTreeMap<MotionId, _>, Error> {
+            let mut said = BTreeMap::new();
+            for file in tables.get(MotionRow::TABLE).into_iter().flatten() {
+                let path = self.transaction.root().join(&file.path);
+                let rows: Vec<ClipWords> = ShardReader::open(&path)?.rows()?;
+                said.extend(rows.into_iter().map(|row| (row.id.clone(), row.said())));
+            }
+            Ok(said)
+        };
+        let now = said_in(&tally.tables)?;
+        for (id, before) in said_in(&base.tables)? {
+            let Some(now) = now.get(&id) else { continue };
+            for column in before.difference(now) {
+                let reason = "its files no longer give them".to_owned();
+                gone.push(LostLabel::new(column, id.as_str(), &id, reason));
+            }
+        }
+        Ok(gone)
     }
 
     fn failed_shard(
@@ -417,10 +464,14 @@ impl Run<'_> {
 
     /// The masks that stay and those that came with clips of this run, without those that people rejected. Of a clip that
     /// people described, the masks of its source come back only for the parts for which the dataset still has one; the
-    /// number of the others is returned too.
-    fn masks(&self, staying: Vec<MaskRow>, tally: &Tally) -> Result<(Vec<MaskRow>, u64), Error> {
+    /// number of the others is returned too, and the number of masks of people that the source gives otherwise now.
+    fn masks(
+        &self,
+        staying: Vec<MaskRow>,
+        tally: &Tally,
+    ) -> Result<(Vec<MaskRow>, u64, u64), Error> {
         let mut gave_way = 0;
-        let mut masks = tally.masks(staying);
+        let (mut masks, differ) = tally.masks(staying);
         if self.transaction.base().is_some() {
             let before = Dataset::open_unverified(self.transaction.root())?;
             let rows: Vec<MaskRow> = before.read(None)?;
@@ -437,30 +488,30 @@ impl Run<'_> {
                 !is_described || !is_mask_of_source(mask) || standing.contains(&place(mask))
             });
             gave_way = (num_before - masks.len()) as u64;
-            let rejections = before.rejections(&before.manifest().rejected_masks()?)?;
+            let rejections = before.rejections(&self.rejected_labels()?.0)?;
             masks.retain(|mask| {
                 let is_same_motion = self.fates.is_read_again(&mask.motion_id).is_ok();
                 is_mask_of_people(mask) || !is_same_motion || !rejections.has(mask)
             });
         }
-        Ok((masks, gave_way))
+        Ok((masks, gave_way, differ))
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
     fn pairs(&self, staying: Vec<PairRow>, tally: &Tally) -> Result<Pairs, Error> {
-        let rejected = self.transaction.base().map(Manifest::rejected_pairs);
-        let rejected = rejected.transpose()?.unwrap_or_default().into_values();
+        let rejected = self.rejected_labels()?.1.into_values();
         let rejected: BTreeSet<[MotionId; 2]> = rejected.flatten().collect();
         let (mut made, dropped) = tally.pairs(self.plan);
         // They left the dataset when people rejected them.
         made.retain(|row| !rejected.contains(&[row.source_id.clone(), row.target_id.clone()]));
-        let mut rows = with_made(staying, made);
+        let (mut rows, differ) = with_made(staying, made);
         let known: Vec<PairRow> = rows.values().cloned().collect();
         let list = self.prepared.options.pairs.as_ref();
         let listed = tally.listed_pairs(self.plan, list, &known, &rejected);
         rows.extend(listed.rows.into_iter().map(|row| (row.id.clone(), row)));
         Ok(Pairs {
             rows: rows.into_values().collect(),
+            differ,
             dropped,
             refused: listed.refused,
         })
@@ -498,8 +549,9 @@ impl Run<'_> {
         problems
     }
 
-    /// What people rejected, in this dataset and in those that are sources of it.
-    fn rejected_labels(&self, tables: &Files) -> Result<(RejectedMasks, RejectedPairs), Error> {
+    /// What people rejected, in this dataset and in those that are sources of it. A mask is named with the motion that it
+    /// was rejected for.
+    fn rejected_labels(&self) -> Result<(RejectedMasks, RejectedPairs), Error> {
         let base = self.transaction.base();
         let mut masks = base.map_or(Ok(RejectedMasks::new()), Manifest::rejected_masks)?;
         let mut pairs = base.map_or(Ok(RejectedPairs::new()), Manifest::rejected_pairs)?;
@@ -532,7 +584,7 @@ impl Run<'_> {
         }
         masks.retain(|_, list| !list.is_empty());
         pairs.retain(|_, list| !list.is_empty());
-        Ok((self.of_motions_now(masks, tables)?, pairs))
+        Ok((masks, pairs))
     }
 
     /// Rejections of masks for the motions that their files give now: the same file read at another rate gives another
@@ -601,7 +653,8 @@ impl Run<'_> {
             (SETTINGS_FACT.to_owned(), prepared.settings.text()),
             (SOURCES_FACT.to_owned(), json(&sources)),
         ]);
-        let (masks, rejected_pairs) = self.rejected_labels(&tables)?;
+        let (masks, rejected_pairs) = self.rejected_labels()?;
+        let masks = self.of_motions_now(masks, &tables)?;
         if !masks.is_empty() {
             facts.insert(REJECTED_MASKS_FACT.to_owned(), json(&masks));
         }

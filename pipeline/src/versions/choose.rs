@@ -12,6 +12,7 @@ use tables::Condition;
 use crate::Error;
 use crate::clip_table::{clip_facts, clip_ids};
 use crate::clips::Clips;
+use crate::ingest::IdList;
 
 const SHOWN: usize = 5;
 
@@ -35,16 +36,14 @@ pub enum Choice {
 }
 
 impl Choice {
-    /// Reads a list of ids, one per line. Empty lines are skipped.
+    /// Reads a list of ids, one per line, with the comments of [`IdList`].
     ///
     /// # Errors
-    /// The file cannot be read or is not text.
+    /// The file cannot be read, is no text, or names nothing.
     pub fn ids(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(datasets_spec::Error::io("read", path))?;
-        let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
         Ok(Self::Ids {
             path: path.to_owned(),
-            ids: lines.map(str::to_owned).collect(),
+            ids: IdList::read(path)?.into_names(),
         })
     }
 

@@ -29,7 +29,7 @@ pub(crate) use self::labels::{
     Labels, check_lost, is_mask_of_people, is_mask_of_source, is_pair_judged, is_pair_of_people,
     is_pair_of_source,
 };
-pub use self::remove::{RemoveOptions, Removed, remove};
+pub use self::remove::{Removed, removable, remove};
 pub use self::restore::{Restored, restore};
 pub(crate) use self::select::composed;
 pub use self::select::{SELECTED_FACT, Selected, select};

@@ -1,6 +1,7 @@
 //! Makes a version without some clips.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
@@ -39,54 +40,86 @@ pub struct Removed {
     pub root_hash: String,
 }
 
-/// Options of a removal.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RemoveOptions {
-    /// Continue although labels that people made are lost.
-    pub drop_labels: bool,
-    /// Only report.
-    pub dry_run: bool,
+/// A removal that nothing has done yet.
+struct Planned {
+    dataset: Dataset,
+    chosen: BTreeSet<MotionId>,
+    before: Labels,
+    labels: Labels,
+    left: Vec<SkippedRow>,
+    shards: Shards,
+    report: Removed,
+}
+
+impl Planned {
+    fn of(root: &Path, choice: &Choice) -> Result<Self, Error> {
+        let dataset = Dataset::open(root)?;
+        let chosen = choice.of(&dataset)?;
+        let manifest = dataset.manifest();
+        let before = Labels::read(&dataset)?;
+        let (labels, lost, dropped) = without(&before, &chosen);
+        let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
+        let shards = Shards::read(&dataset)?;
+        if shards.num_clips() <= left.len() {
+            return Err(Error::refused(format!(
+                "every clip of {} would be removed; nothing was changed. Remove the folder if that is meant",
+                root.display()
+            )));
+        }
+        let report = Removed {
+            removed: chosen.iter().map(ToString::to_string).collect(),
+            clips: (shards.num_clips() - left.len()) as u64,
+            lost,
+            dropped,
+            left_tables: composed(&dataset),
+            dry_run: true,
+            tables: manifest.row_counts(),
+            root_hash: manifest.root_hash.clone(),
+        };
+        Ok(Self {
+            dataset,
+            chosen,
+            before,
+            labels,
+            left,
+            shards,
+            report,
+        })
+    }
+}
+
+/// What [`remove`] would do. It also answers where nothing can be written, and while another run writes.
+///
+/// # Errors
+/// No clip is chosen, or all are, or a table cannot be read.
+pub fn removable(root: &Path, choice: &Choice) -> Result<Removed, Error> {
+    Ok(Planned::of(root, choice)?.report)
 }
 
 /// Makes a version without the chosen clips. The previous version keeps them, and ingestion leaves them out as long as
 /// their files are unchanged.
 ///
 /// # Errors
-/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder cannot be
-/// written.
+/// No clip is chosen, or all are; labels of people would be lost and `drop_labels` does not allow it; or the folder cannot
+/// be written.
 pub fn remove(
     transaction: Transaction,
     choice: &Choice,
-    options: RemoveOptions,
+    drop_labels: bool,
 ) -> Result<Removed, Error> {
-    let root = &transaction.root().to_owned();
-    let dataset = Dataset::open(root)?;
-    let chosen = choice.of(&dataset)?;
+    let root = transaction.root().to_owned();
+    let Planned {
+        dataset,
+        chosen,
+        before,
+        labels,
+        left,
+        mut shards,
+        mut report,
+    } = Planned::of(&root, choice)?;
     let manifest = dataset.manifest();
-    let before = Labels::read(&dataset)?;
-    let (labels, lost, dropped) = without(&before, &chosen);
-    let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
-    let mut shards = Shards::read(&dataset)?;
-    if shards.num_clips() <= left.len() {
-        return Err(Error::refused(format!(
-            "every clip of {} would be removed; nothing was changed. Remove the folder if that is meant",
-            root.display()
-        )));
-    }
-    let mut report = Removed {
-        removed: chosen.iter().map(ToString::to_string).collect(),
-        clips: (shards.num_clips() - left.len()) as u64,
-        lost,
-        dropped,
-        left_tables: composed(&dataset),
-        dry_run: options.dry_run,
-        tables: manifest.row_counts(),
-        root_hash: manifest.root_hash.clone(),
-    };
-    if options.dry_run {
-        return Ok(report);
-    }
-    check_lost(root, &report.lost, options.drop_labels)?;
+    report.dry_run = false;
+    check_lost(&root, &report.lost, drop_labels)?;
     let skeleton = dataset.skeleton()?;
     let plan = plan_hash("remove", &(&manifest.root_hash, &report.removed));
     let mut tables = shards.without(&transaction, &chosen)?;
@@ -110,7 +143,7 @@ pub fn remove(
     }
     tables.retain(|table, files| !files.is_empty() || table == MotionRow::TABLE);
     let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
-    let licenses = license::count(root, motions)?;
+    let licenses = license::count(&root, motions)?;
     let mut facts = manifest.facts.clone();
     facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     let done = transaction.commit(Commit {

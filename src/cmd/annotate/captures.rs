@@ -48,7 +48,7 @@ fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit
     let bytes = local::read(file)?;
     let cells =
         parse(&bytes).with_context(|| format!("in {}; the plan is as it was", file.display()))?;
-    store.plan_captures(operator(store)?.id, cells, now())?;
+    store.plan_captures(operator(store)?.id, cells, now(store)?)?;
     let captures = store.captures()?;
     let unknown = captures.cells.iter().filter(|cell| !cell.known).count();
     if unknown > 0 {

@@ -42,9 +42,17 @@ pub(super) fn ask_drafts(
     let motions = MotionLibrary::open(&args.dataset)?;
     let bars = global.bars();
     bars.begin("drafts", None);
-    let done = draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
-        bars.advance_to(tasks as u64);
-    })?;
+    let done = draft_all(
+        store,
+        &motions,
+        &model,
+        kind,
+        limit,
+        now(store)?,
+        &mut |tasks| {
+            bars.advance_to(tasks as u64);
+        },
+    )?;
     bars.finish(&format!("{} tasks", done.looked_at));
     let mut lines = vec![format!(
         "{} new texts for {} tasks",

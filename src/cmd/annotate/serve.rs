@@ -17,7 +17,7 @@ use signal_hook::flag;
 
 use super::args::Args;
 use super::drafts::model;
-use super::shared::now;
+use super::shared::{now, now_here};
 use super::transfer::{IMPORTED, import_dataset};
 use super::users::admin;
 use crate::exit::Exit;
@@ -41,7 +41,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     }
     let admin = match admin(&store)? {
         Some(admin) => admin,
-        None => store.add_user(None, FIRST_ADMIN, Role::Admin, now())?,
+        None => store.add_user(None, FIRST_ADMIN, Role::Admin, now(&store)?)?,
     };
     let mut copy_if_due = copies(args);
     copy_if_due(&store);
@@ -70,7 +70,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
             model,
             patience: PATIENCE,
             upload_patience: UPLOAD_PATIENCE,
-            clock: Arc::new(now),
+            clock: Arc::new(now_here),
             log: report::note,
         },
     )?;
@@ -124,8 +124,7 @@ fn announce(
     admin: &User,
     global: &Global,
 ) -> anyhow::Result<()> {
-    // A shared store has its own clock.
-    let now = store.clock()?.map_or_else(now, |clock| clock());
+    let now = now(store)?;
     let token = store
         .issue(admin.id, TokenUse::Once, now + 60 * MINUTE, now)?
         .token;
@@ -166,7 +165,7 @@ fn copies(args: &Args) -> impl FnMut(&Store) {
     // Time of the next check whether a copy is due.
     let mut next = 0;
     move |store| {
-        let now = now();
+        let now = now_here();
         let Some(every) = every.filter(|_| next <= now) else {
             return;
         };

@@ -3,8 +3,15 @@
 use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Milliseconds since 1970.
-pub(super) fn now() -> i64 {
+use annotate::store::Store;
+
+/// Milliseconds since 1970, by the clock of a store that several machines share.
+pub(super) fn now(store: &Store) -> anyhow::Result<i64> {
+    Ok(store.now()?.unwrap_or_else(now_here))
+}
+
+/// Milliseconds since 1970, by the clock of this machine.
+pub(super) fn now_here() -> i64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| {
         i64::try_from(since.as_millis()).unwrap_or(i64::MAX)

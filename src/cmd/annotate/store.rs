@@ -10,7 +10,7 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::args::{Args, STORE};
-use super::shared::now;
+use super::shared::now_here;
 use super::transfer::import_dataset;
 use crate::exit::Exit;
 use crate::global::Global;
@@ -126,7 +126,12 @@ pub(super) fn back_up(
     global: &Global,
 ) -> anyhow::Result<Exit> {
     let copy = if keep.is_some() || file.is_dir() {
-        store::back_up(store, file, keep.map_or(usize::MAX, usize::from), now())?
+        store::back_up(
+            store,
+            file,
+            keep.map_or(usize::MAX, usize::from),
+            now_here(),
+        )?
     } else {
         store.backup(file)?;
         file.to_owned()

@@ -50,7 +50,7 @@ pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> any
     let all = project.styles.len();
     if new + changed > 0 {
         let change = SettingsChange { was, now: project };
-        store.change_settings(operator(store)?.id, change, now())?;
+        store.change_settings(operator(store)?.id, change, now(store)?)?;
     }
     global.say(
         &serde_json::json!({ "styles": all, "new": new, "changed": changed }),

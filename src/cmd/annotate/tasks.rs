@@ -24,7 +24,7 @@ pub(super) fn changed_clips(
     let tasks = store.changed_tasks()?;
     if keep || reopen {
         let ids: Vec<i64> = tasks.iter().map(|task| task.id).collect();
-        store.settle_changed(None, &ids, keep, now())?;
+        store.settle_changed(None, &ids, keep, now(store)?)?;
     }
     let rows = tasks
         .iter()
@@ -63,7 +63,7 @@ pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyho
     let done = if args.yes {
         let mut all = BulkDone::default();
         loop {
-            let some = store.bulk(&who, request.clone(), now())?;
+            let some = store.bulk(&who, request.clone(), now(store)?)?;
             all.looked_at += some.looked_at;
             all.done += some.done;
             for (reason, count) in some.left_alone {
@@ -75,7 +75,7 @@ pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyho
             }
         }
     } else {
-        store.preview_bulk(&who, request, now())?
+        store.preview_bulk(&who, request, now(store)?)?
     };
     let verb = if args.yes { "done" } else { "would be done" };
     let mut lines = vec![format!(
@@ -121,7 +121,7 @@ pub(super) fn rules(
             let mut all = RulesApplied::default();
             let mut after = Some(0);
             while let Some(from) = after {
-                let some = store.apply_rules(from, now())?;
+                let some = store.apply_rules(from, now(store)?)?;
                 all.looked_at += some.looked_at;
                 for (name, count) in some.accepted {
                     *all.accepted.entry(name).or_default() += count;
@@ -138,9 +138,9 @@ pub(super) fn rules(
         }
         Some(RulesAction::Undo { name }) => {
             let admin = operator(store)?.id;
-            let mut all = store.undo_rule(admin, name, now())?;
+            let mut all = store.undo_rule(admin, name, now(store)?)?;
             while all.left > 0 {
-                let more = store.undo_rule(admin, name, now())?;
+                let more = store.undo_rule(admin, name, now(store)?)?;
                 all.reopened += more.reopened;
                 all.left = more.left;
             }

@@ -34,10 +34,10 @@ pub(super) fn import(
             let mut taken = match file.is_dir() {
                 true => import_folder(args, store, file)?,
                 false if file.extension().is_some_and(|found| found == "parquet") => {
-                    transfer::from_annotations(store, file, None, now())?
+                    transfer::from_annotations(store, file, None, now(store)?)?
                 }
                 false if file.extension().is_some_and(|found| found == "json") => {
-                    transfer::from_release(store, &read_json(file)?, None, now())?
+                    transfer::from_release(store, &read_json(file)?, None, now(store)?)?
                 }
                 false => {
                     std::fs::metadata(file)
@@ -59,7 +59,7 @@ pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> any
     }
     let bars = global.bars();
     bars.begin("import", None);
-    let taken = transfer::from_dataset(store, &args.dataset, None, now(), &mut |done, _| {
+    let taken = transfer::from_dataset(store, &args.dataset, None, now(store)?, &mut |done, _| {
         bars.advance_to(u64::try_from(done).unwrap_or(0));
     })?;
     let count = |what: &str| taken.counts.get(what).copied().unwrap_or(0);
@@ -78,12 +78,18 @@ fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Ta
     transfer::check_files(folder)?;
     let annotations = folder.join(ANNOTATIONS);
     if annotations.is_file() {
-        let taken = transfer::from_annotations(store, &annotations, None, now())?;
+        let taken = transfer::from_annotations(store, &annotations, None, now(store)?)?;
         return Ok(taken);
     }
     if let Some(labels) = exported_labels(folder)? {
         let dataset = &args.dataset;
-        return Ok(transfer::from_labels(store, dataset, &labels, None, now())?);
+        return Ok(transfer::from_labels(
+            store,
+            dataset,
+            &labels,
+            None,
+            now(store)?,
+        )?);
     }
     let mut both = serde_json::Map::new();
     for name in ["mask_all", "part_annotations", "accepted_by", "pairs"] {
@@ -98,7 +104,12 @@ fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Ta
     if both.is_empty() {
         return Err(no_answers(folder));
     }
-    Ok(transfer::from_release(store, &both.into(), None, now())?)
+    Ok(transfer::from_release(
+        store,
+        &both.into(),
+        None,
+        now(store)?,
+    )?)
 }
 
 fn no_answers(path: &Path) -> anyhow::Error {
@@ -122,7 +133,7 @@ pub(super) fn export(
 ) -> anyhow::Result<Exit> {
     let folder = to.map_or_else(|| args.folder().join("exports"), Path::to_owned);
     let done = transfer::export(store, &args.dataset, &folder, selection, &global.holder())?;
-    store.log_export(None, done.entry(selection.format), now())?;
+    store.log_export(None, done.entry(selection.format), now(store)?)?;
     let mut lines = lines_of(&done.counts, &done.messages);
     if !done.files.is_empty() {
         lines.push(format!("{} in {}", done.files.join(", "), folder.display()));

@@ -36,7 +36,7 @@ fn role(text: &str) -> anyhow::Result<Role> {
 pub(super) fn user(store: &Store, action: &UserAction, global: &Global) -> anyhow::Result<Exit> {
     match action {
         UserAction::Add { name, role: text } => {
-            let user = store.add_user(None, name, role(text)?, now())?;
+            let user = store.add_user(None, name, role(text)?, now(store)?)?;
             token(store, &user, TOKEN_DAYS, global)
         }
         UserAction::Import { file, url, days } => import(store, file, url, *days, global),
@@ -64,7 +64,7 @@ fn import(
     global: &Global,
 ) -> anyhow::Result<Exit> {
     let text = local::read_text(file)?;
-    let (now, url) = (now(), url.trim_end_matches('/'));
+    let (now, url) = (now(store)?, url.trim_end_matches('/'));
     let added = store
         .add_users(None, &text, now + i64::from(days) * DAY, now)
         .with_context(|| format!("in {}", file.display()))?;
@@ -86,7 +86,7 @@ fn change(
     global: &Global,
 ) -> anyhow::Result<Exit> {
     let user = find(store, name)?;
-    let user = store.change_user(None, user.id, role, active, now())?;
+    let user = store.change_user(None, user.id, role, active, now(store)?)?;
     let state = if user.active { "" } else { ", disabled" };
     let text = format!("{}: {}{state}", user.name, user.role);
     global.say(&user, &text)
@@ -112,7 +112,7 @@ pub(super) fn token(
     days: i64,
     global: &Global,
 ) -> anyhow::Result<Exit> {
-    let now = now();
+    let now = now(store)?;
     let issued = store.issue(user.id, TokenUse::Token, now + days * DAY, now)?;
     if global.json {
         let (user, token) = (issued.user, issued.token);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use datasets_spec::Dataset;
-use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, begin, remove, select};
+use pipeline::versions::{Choice, Removed, Selected, begin, removable, remove, select};
 use tables::Condition;
 
 use super::versions::lost_labels;
@@ -104,11 +104,13 @@ impl Remove {
             (None, Some(file)) => Choice::ids(file)?,
             (None, None) => unreachable!("one of the two is required"),
         };
-        let options = RemoveOptions {
-            drop_labels: self.drop_labels,
-            dry_run: self.dry_run,
+        let done = match self.dry_run {
+            true => removable(&self.dataset, &choice)?,
+            false => {
+                let transaction = begin(&self.dataset, &global.holder())?;
+                remove(transaction, &choice, self.drop_labels)?
+            }
         };
-        let done = remove(begin(&self.dataset, &global.holder())?, &choice, options)?;
         global.say(&done, &removed(&done))
     }
 }

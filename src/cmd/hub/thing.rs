@@ -180,7 +180,8 @@ fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Res
         .any(|tables| dataset.content_hash(tables) == record.dataset_hash);
     if !is_trained_on {
         bail!(
-            "the run was trained on other tables ({:.12}) than {} holds; name the licence of its data: --license",
+            "the run was trained on other rows ({:.12}) than {} holds now, on clips chosen by --where, or on recorded \
+             windows; name the licence of its data: --license",
             record.dataset_hash,
             dataset.root().display()
         );

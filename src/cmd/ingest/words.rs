@@ -205,6 +205,11 @@ fn grown(growth: &Growth) -> String {
             growth.gave_way
         );
     }
+    for (table, count) in &growth.differ {
+        text += &format!(
+            "{count} {table} of people are other in their source now; the dataset keeps its own\n"
+        );
+    }
     text += &removed(&growth.removed);
     for lost in &growth.lost {
         text += &format!("lost: {} of {} ({})\n", lost.id, lost.table, lost.reason);

@@ -13,6 +13,7 @@ use serde::Deserialize;
 
 use super::files::{file_name, write_drawing};
 use crate::cmd::page::strip_of;
+use crate::stages::UnknownWords;
 
 /// Section `[[picture]]` of a plan.
 #[derive(Clone, Debug, Deserialize)]
@@ -87,7 +88,7 @@ pub(super) fn draw(
                 ..row
             }));
         }
-        let drawn = strip_of(item, &made, &first.skeleton, &BTreeSet::new())?;
+        let drawn = strip_of(item, &made, &first.skeleton, &UnknownWords::new())?;
         let caption = match gain {
             Some(gain) => format!("{} ({:+.1} cm closer)", drawn.caption, 100.0 * gain),
             None => drawn.caption,

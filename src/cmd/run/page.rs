@@ -20,6 +20,7 @@ use crate::cmd::train::loss_curves;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::judge::BUILTIN;
+use crate::stages::UnknownWords;
 
 pub(super) struct Done<'a> {
     pub(super) plan: &'a Plan,
@@ -29,7 +30,7 @@ pub(super) struct Done<'a> {
     pub(super) trained: &'a Trained,
     pub(super) edits: &'a Answered,
     /// Words of the instructions that some system's vocabulary lacks.
-    pub(super) unknown: &'a BTreeSet<String>,
+    pub(super) unknown: &'a UnknownWords,
     pub(super) scores: &'a Scores,
 }
 

@@ -81,9 +81,28 @@ pub enum Inheritance {
     Init,
 }
 
+/// The skeleton of a model, as its record names it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SkeletonId {
+    /// Name of the skeleton.
+    pub name: String,
+    /// BLAKE3 of its rest positions; none in records of early versions.
+    pub hash: Option<String>,
+}
+
+impl From<&Skeleton> for SkeletonId {
+    fn from(skeleton: &Skeleton) -> Self {
+        Self {
+            name: skeleton.name().to_owned(),
+            hash: Some(skeleton.hash()),
+        }
+    }
+}
+
 impl<C> RunRecord<C> {
     /// The record of a new run.
-    pub fn new(kind: &str, dataset_hash: &str, skeleton: &Skeleton, config: C) -> Self {
+    pub fn new(kind: &str, dataset_hash: &str, skeleton: impl Into<SkeletonId>, config: C) -> Self {
+        let SkeletonId { name, hash } = skeleton.into();
         Self {
             format: FORMAT,
             kind: kind.to_owned(),
@@ -94,12 +113,20 @@ impl<C> RunRecord<C> {
             .map(|(name, version)| (name.to_owned(), version.to_owned()))
             .into(),
             dataset_hash: dataset_hash.to_owned(),
-            skeleton: skeleton.name().to_owned(),
-            skeleton_hash: Some(skeleton.hash()),
+            skeleton: name,
+            skeleton_hash: hash,
             precision: None,
             imported: None,
             lineage: Vec::new(),
             config,
+        }
+    }
+
+    /// The skeleton of the motions.
+    pub(crate) fn skeleton_id(&self) -> SkeletonId {
+        SkeletonId {
+            name: self.skeleton.clone(),
+            hash: self.skeleton_hash.clone(),
         }
     }
 

@@ -5,9 +5,11 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::config::{
     NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
-    ensure, not_negative, positive, share,
+    ensure, finite, not_negative, positive, share,
 };
+use crate::ddim::Ddim;
 use crate::model::mld::MAX_POSITIONS;
+use crate::schedule::Schedule;
 
 /// Settings of the autoencoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -145,7 +147,11 @@ impl MldConfig {
         check_layers("model.num_layers", &self.model)?;
         self.run.check()?;
         self.text.check_pooled()?;
+        self.text.check_words()?;
         share("text_dropout", self.text_dropout)?;
+        finite("guidance", self.guidance)?;
+        let schedule = Schedule::scaled_linear(self.diffusion_steps)?;
+        Ddim::new(schedule, self.sampling_steps)?;
         let (width, latent) = (self.model.width, self.autoencoder.model.width);
         let problem = format!("it is {width}, and latent vectors have {latent} numbers");
         ensure(width == latent, "model.width", problem)

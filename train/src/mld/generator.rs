@@ -11,6 +11,7 @@ use super::autoencoder::Autoencoder;
 use super::diffusion::MldRecord;
 use super::{CLIP, KIND};
 use crate::checkpoint::{Slot, open_for_use};
+use crate::config::TextEncoder;
 use crate::ddim::Ddim;
 use crate::diffusion::guide;
 use crate::model::conditioned::Conditioned;
@@ -93,6 +94,10 @@ impl Generator {
     /// Hash of the weights of both networks: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
+    }
+
+    pub(crate) fn text_encoder(&self) -> TextEncoder {
+        self.record.train.text.encoder
     }
 
     /// Standard deviation of the latent vectors of the training motions.

@@ -173,7 +173,7 @@ fn loader(
     if rows.iter().all(|row| row.id != hash) {
         return Err(misfit(
             "were recorded with another normaliser than the dataset's; record them again: \
-             stance triplets DATASET --windows N --out FOLDER",
+             stance triplets DATASET --windows N --out FOLDER, with the --where that they were recorded with",
         ));
     }
     let order = ReadOrder::Shuffled(seed);

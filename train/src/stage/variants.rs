@@ -118,7 +118,14 @@ pub fn make_variants(
     holder: &str,
     session: &Session<'_>,
 ) -> Result<VariantReport, Error> {
-    let mut making = Making::open([root, run], instructions, config, seed, session.device)?;
+    let mut making = Making::open(
+        [root, run],
+        instructions,
+        config,
+        text_encoder,
+        seed,
+        session.device,
+    )?;
     let latent_std = Some(making.generator.latent_std());
     let report = |dataset, counts| VariantReport {
         dataset,
@@ -160,6 +167,7 @@ impl Making {
         [root, run]: [&Path; 2],
         instructions: &Instructions,
         config: &MakeVariants,
+        text_encoder: &TextEncoderSource,
         seed: Seed,
         device: &Device,
     ) -> Result<Self, Error> {
@@ -173,9 +181,15 @@ impl Making {
             .iter()
             .map(|(base, split)| (base.text.as_str(), base.frames, *split))
             .collect();
+        let encoder = generator.text_encoder();
+        let added = text_encoder.added_vectors(run, encoder)?;
         let inputs = (generator.hash(), made_of, config, seed, skeleton.hash());
+        let plan_hash = match added {
+            None => plan_hash("variants-1", &inputs),
+            Some(added) => plan_hash("variants-1", &(inputs, added)),
+        };
         Ok(Self {
-            plan_hash: plan_hash("variants-1", &inputs),
+            plan_hash,
             generator,
             run: run.to_owned(),
             skeleton,

@@ -91,6 +91,21 @@ impl TextEncoderSource {
         }
     }
 
+    /// Digest of the vectors in a table that the user gave for texts that the run's own table lacks; none if there are
+    /// none. The weights of the run determine all other vectors.
+    pub(crate) fn added_vectors(
+        &self,
+        run: &Path,
+        encoder: TextEncoder,
+    ) -> Result<Option<String>, Error> {
+        let given = self.given.as_ref().filter(|given| !given.is_dir());
+        let (TextEncoder::Table, Some(given)) = (encoder, given) else {
+            return Ok(None);
+        };
+        let (given, own) = (EmbeddingTable::load(given)?, stored(run)?);
+        Ok(given.digest_without(own.as_ref()))
+    }
+
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
         let own = stored(run)?;
         // A folder holds CLIP or BERT, given for another model of the same command.

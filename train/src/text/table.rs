@@ -143,6 +143,27 @@ impl EmbeddingTable {
         self.texts.iter().find(differs).cloned()
     }
 
+    /// Digest of the texts, and their vectors, that another table lacks; none if it lacks none.
+    pub(crate) fn digest_without(&self, other: Option<&Self>) -> Option<String> {
+        let is_new = |text: &&String| other.is_none_or(|other| other.get(text).is_none());
+        let new: Vec<&String> = self.texts.iter().filter(is_new).collect();
+        let digest_of = |new: &[&String]| {
+            let mut hasher = blake3::Hasher::new();
+            for text in new {
+                let vectors = self.get(text).unwrap_or_default();
+                for length in [text.len(), vectors.len()] {
+                    hasher.update(&(length as u64).to_le_bytes());
+                }
+                hasher.update(text.as_bytes());
+                for value in vectors {
+                    hasher.update(&value.to_le_bytes());
+                }
+            }
+            hasher.finalize().to_hex().to_string()
+        };
+        (!new.is_empty()).then(|| digest_of(&new))
+    }
+
     /// Identity of the encoder that made the table.
     pub fn encoder(&self) -> &str {
         &self.encoder

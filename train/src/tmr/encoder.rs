@@ -159,11 +159,19 @@ impl TmrEncoder {
 
     /// Features of the encoder, how much of a motion it reads, and its training data, in words.
     pub fn description(&self) -> String {
+        let body = match self.recipe() {
+            FeatureRecipe::HumanMl3d => " of the SMPL body",
+            FeatureRecipe::Smpl135 | FeatureRecipe::MotionFix => "",
+        };
+        // The released encoders read whole motions.
+        let read = match self.max_frames {
+            usize::MAX => String::new(),
+            frames => format!(" of the first {:.0} s", frames as f64 / self.fps()),
+        };
         format!(
-            "{} at {} fps of the first {:.0} s, trained on dataset {:.12}",
+            "{}{body} at {} fps{read}, trained on dataset {:.12}",
             self.recipe().name(),
             self.fps(),
-            self.max_frames as f64 / self.fps(),
             self.dataset_hash
         )
     }

@@ -38,7 +38,15 @@ impl Stored {
     fn open(&self, surroundings: &Surroundings) -> Result<Making, Error> {
         let folders = [self.dataset.as_path(), self.generator.as_path()];
         let (asked, config) = (&self.instructions, &self.config);
-        Making::open(folders, asked, config, self.seed, &surroundings.device)
+        let encoder = surroundings.text_encoder(self.text_encoder.clone());
+        Making::open(
+            folders,
+            asked,
+            config,
+            &encoder,
+            self.seed,
+            &surroundings.device,
+        )
     }
 }
 

@@ -79,11 +79,11 @@ fn an_answer_goes_back_with_a_comment_to_its_author() {
 }
 
 /// Resizes a review page to a size in pixels. Checks that `stage` pixels of the stage and all decisions are visible and
-/// that nothing overflows. Returns the height of the smallest button and the size of the smallest text.
+/// that nothing overflows or is cut off. Returns the height of the smallest button and the size of the smallest text.
 fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
     bench.task();
     bench.resize(width, height);
-    bench.photograph(&format!("review-{width}"));
+    bench.photograph(&format!("review-{width}-{height}"));
     let page = bench.js(
         "const box = (selector) => document.querySelector(selector).getBoundingClientRect();
              const [stage, foot] = [box('.stage-area'), box('.panel-foot')];
@@ -94,6 +94,7 @@ fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
                over: document.documentElement.scrollWidth - innerWidth,
                stage: Math.min(stage.bottom, innerHeight) - Math.max(stage.top, 0),
                foot: innerHeight - foot.bottom,
+               cut: Math.max(...[...document.querySelectorAll('.viewer, .panel')].map((own) => own.scrollHeight - own.clientHeight)),
                button: Math.min(...heights),
                text: Math.min(...[...document.querySelectorAll('.panel-scroll *')]
                  .filter((own) => own.childElementCount === 0 && own.textContent.trim() && own.tagName !== 'KBD')
@@ -103,7 +104,7 @@ fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
     let number = |name: &str| page[name].as_f64().expect("a number");
     assert_eq!(page["width"], width, "{page}");
     assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
-    assert!(number("stage") >= stage, "{page}");
+    assert!(number("stage") >= stage && number("cut") <= 1.0, "{page}");
     [number("button"), number("text")]
 }
 
@@ -135,8 +136,17 @@ fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
 #[test]
 fn an_answer_is_read_and_accepted_on_a_telephone() {
     let bench = Bench::with_answer(WAVE);
-    let [_, text] = fits(&bench, [390, 844], 200.0);
-    assert!(text >= 12.0, "{text}");
+    for (size, stage) in [
+        ([390, 844], 200.0),
+        // On its side, and windows that are low.
+        ([844, 390], 120.0),
+        ([640, 380], 120.0),
+        ([960, 470], 120.0),
+        ([800, 600], 200.0),
+    ] {
+        let [_, text] = fits(&bench, size, stage);
+        assert!(text >= 12.0, "{size:?} {text}");
+    }
     bench.tap(".panel-foot button.primary");
     bench.decided("accepted");
 }

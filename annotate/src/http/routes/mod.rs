@@ -113,7 +113,7 @@ pub static ROUTES: &[Route] = routes! {
     GET "/api/v1/jobs/{id}" ADMIN |cx| json(&jobs::one(cx)?);
     GET "/api/v1/jobs/{id}/files/{name}" ADMIN jobs::file;
     GET "/api/v1/audit" ADMIN dashboard::audit;
-    GET "/api/v1/stream" ANNOTATOR stream::open;
+    GET "/api/v1/stream" REVIEWER stream::open;
     GET "/healthz" PUBLIC health::healthy;
     GET "/readyz" PUBLIC health::ready;
     GET "/metrics" ADMIN health::metrics;

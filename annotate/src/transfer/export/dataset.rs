@@ -447,7 +447,7 @@ impl Exporter<'_> {
         let mut rows: Vec<MaskRow> = Vec::new();
         for mask in accepted.answer.fields().masks {
             let joints = mask.mask();
-            let fits = |range| check_range(range, frames).is_ok();
+            let fits = |range| check_range(range, frames, 1).is_ok();
             if !mask.range.is_none_or(fits) {
                 // The clip was ingested again after the answer, and is shorter now.
                 self.done.count("masks_past_the_clip", 1);

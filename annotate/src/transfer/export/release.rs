@@ -37,7 +37,10 @@ impl Exporter<'_> {
                 for (name, count) in lost_of(said.masks) {
                     exporter.done.lose(name, count);
                 }
-                let (parts, said) = release::entries(said.masks, task.extra.as_ref());
+                // Texts of the release that fit no mask are those of the imported answer alone.
+                let is_imported = accepted.basis.starts_with("import");
+                let extra = task.extra.as_ref().filter(|_| is_imported);
+                let (parts, said) = release::entries(said.masks, extra);
                 masks.insert(motion.clone(), parts);
                 texts.insert(motion.clone(), said);
                 marks.insert(motion, json!(accepted_by));

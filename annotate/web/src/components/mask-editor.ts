@@ -188,7 +188,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
   private problemOf(mask: MaskAnswer): string | null {
     const { hard } = this.app.parts.joints(mask.parts, mask.soft, mask.joints);
     if (mask.parts.length > 0 && hard === 0) return "has no hard joint; make one hard, or delete the mask";
-    return mask.range ? rangeProblem(mask.range, this.stage.motion.frames) : null;
+    return mask.range ? rangeProblem(mask.range, this.stage.motion.frames, this.stage.motion.fps) : null;
   }
 
   private typed(index: number, text: string): void {

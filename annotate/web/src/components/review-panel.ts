@@ -3,12 +3,12 @@
 import { html, nothing, type TemplateResult } from "lit";
 import { ApiError, newReview, randomName } from "../api";
 import type { App } from "../app";
-import { kept } from "../history";
+import { keep, kept } from "../history";
 import { perform, type ActionId, type Deeds, type Scope } from "../keys";
 import { describe, differing } from "../merge";
 import { askComment, commentField } from "../ui";
 import type { Answer, Candidate, Decision, Lease, NewReview, ReviewDone, ReviewView, Verdict } from "../wire";
-import { KIND_WORDS, apartWords, factsOf, plural } from "../words";
+import { KIND_WORDS, apartWords, captionsOf, factsOf, plural } from "../words";
 import { WorkClock } from "../work";
 import { answerCards, offered } from "./answer-cards";
 import { Component, action, define } from "./component";
@@ -110,7 +110,8 @@ export class ReviewPanel extends Component {
       this.lease = await this.app.api.attempt<Lease>("POST", `leases/${this.lease.id}/renew`);
     } catch (error) {
       if (error instanceof ApiError && error.code === "lease_lost") {
-        this.app.toasts.show("Another reviewer may have this task now; deciding it may be refused.", { id: "lease", kind: "error" });
+        const words = "You no longer hold this task: another reviewer has it, or its clip was ingested anew. Open it again before you decide.";
+        this.app.toasts.show(words, { id: "lease", kind: "error" });
       }
     }
   }
@@ -129,7 +130,7 @@ export class ReviewPanel extends Component {
       this.next();
       this.app.toasts.show(`Task ${task.id}: ${done.state.replaceAll("_", " ")}.`, {
         id: "decided",
-        action: { label: "Reopen", run: () => void this.reopen() },
+        ...(done.state === "accepted" || done.state === "dropped" ? { action: { label: "Reopen", run: () => void this.reopen() } } : {}),
       });
     } catch (error) {
       // The user can retry with the same key: the text is still on the page.
@@ -171,10 +172,12 @@ export class ReviewPanel extends Component {
     const chosen = former ?? this.candidate?.revision.answer;
     if (!chosen) return;
     this.fromFormer = former !== null;
-    const saved = former === null ? kept<Answer>(this.kept) : null;
-    const start = saved?.kind === chosen.kind ? saved : chosen;
+    // An unfinished merge of other revisions is dropped.
+    const of = this.review.candidates.map(({ revision }) => `${revision.author}.${revision.rev}`).join();
+    const saved = former === null ? kept<{ of: string; answer: Answer }>(this.kept) : null;
+    const start = saved?.of === of && saved.answer.kind === chosen.kind ? saved.answer : chosen;
     const host = {
-      change: (answer: Answer) => localStorage.setItem(this.kept, JSON.stringify(answer)),
+      change: (answer: Answer) => keep(this.kept, { of, answer }),
       seal: () => {},
       suggestionUsed: () => {},
       askDraft: null,
@@ -211,14 +214,13 @@ export class ReviewPanel extends Component {
 
   protected override render(): TemplateResult {
     const { task, distance, comments, candidates } = this.review;
-    const captions = task.motions[0]?.captions ?? [];
     const facts = factsOf(task);
     const apart = distance === null ? "One answer." : `Answers ${apartWords(distance)}.`;
     return html`
       <div class="panel-scroll">
         ${this.head}
         <p class="rule edged">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
-        ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
+        ${captionsOf(task).map((caption) => html`<p class="note">${caption}</p>`)}
         ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}
         ${this.offered()}
         ${comments.map((comment) => html`<div class="returned-note warn edged">Earlier comment: ${comment}</div>`)}

@@ -10,6 +10,7 @@ import { StyleRows } from "../style-rows";
 import { ask, button, field, input, select, tell, when } from "../ui";
 import {
   EDIT_TYPES,
+  MAX_MASKS,
   ROLES,
   type Audit,
   type ExportFormat,
@@ -163,20 +164,21 @@ type NumberKey = {
   [K in keyof Settings]: Settings[K] extends number ? K : never;
 }[keyof Settings];
 
-const NUMBERS: readonly (readonly [NumberKey, string])[] = [
-  ["answers_per_task", "Answers per overlapping task"],
-  ["overlap_percent", "Tasks with more than one person, %"],
-  ["gold_percent", "Hidden gold tasks, %"],
-  ["blind_percent", "Tasks without any draft, %"],
-  ["review_percent", "Review sample, %"],
-  ["lease_minutes", "Minutes a task is held"],
-  ["returned_days", "Days a returned task waits"],
-  ["min_masks", "Fewest masks"],
-  ["max_masks", "Most masks"],
-  ["quota", "Pairs wanted per category and edit type (0: any)"],
-  ["category_quota", "Pairs kept per category (0: any)"],
-  ["practice_tasks", "Practice tasks before real work (0: none)"],
-  ["practice_percent", "Mean score that ends practice, %"],
+/** Settings that are numbers, with their labels and the least and largest values that the server takes. */
+const NUMBERS: readonly (readonly [NumberKey, string, number, number])[] = [
+  ["answers_per_task", "Answers per overlapping task", 1, 50],
+  ["overlap_percent", "Tasks with more than one person, %", 0, 100],
+  ["gold_percent", "Hidden gold tasks, %", 0, 100],
+  ["blind_percent", "Tasks without any draft, %", 0, 100],
+  ["review_percent", "Review sample, %", 0, 100],
+  ["lease_minutes", "Minutes a task is held", 1, 1440],
+  ["returned_days", "Days a returned task waits", 1, 365],
+  ["min_masks", "Fewest masks", 0, MAX_MASKS],
+  ["max_masks", "Most masks", 0, MAX_MASKS],
+  ["quota", "Pairs wanted per category and edit type (0: any)", 0, 4_294_967_295],
+  ["category_quota", "Pairs kept per category (0: any)", 0, 4_294_967_295],
+  ["practice_tasks", "Practice tasks before real work (0: none)", 0, 100],
+  ["practice_percent", "Mean score that ends practice, %", 0, 100],
 ];
 
 const PHRASES = [
@@ -188,8 +190,8 @@ const PHRASES = [
 async function settingsSection(app: App): Promise<HTMLElement> {
   let settings = await app.api.get<Settings>("settings");
   const name = input("text");
-  const numbers = new Map(NUMBERS.map(([key]) => [key, input("number", "", { min: 0 })]));
-  const types = EDIT_TYPES.map((type) => [type, input("number", "", { min: 0 })] as const);
+  const numbers = new Map(NUMBERS.map(([key, , least, most]) => [key, input("number", "", { min: least, max: most, required: true })]));
+  const types = EDIT_TYPES.map((type) => [type, input("number", "", { min: 0, max: 10_000_000, required: true })] as const);
   const styles = new StyleRows();
   const phrases = new Map(PHRASES.map(([key]) => [key, h("textarea", { attrs: { rows: 4 } })]));
   const zone = input("text", "", { placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone });
@@ -203,6 +205,9 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   };
   show();
   const save = async (): Promise<void> => {
+    // The browser says at the field what is wrong with a number.
+    const all = [...numbers.values(), ...types.map(([, own]) => own)];
+    if (!all.every((own) => own.reportValidity())) return;
     // Accepted answers append new styles to the project; the form keeps those that it does not show.
     const stored = await app.api.get<Settings>("settings");
     const was: Settings = { ...settings, styles: [...settings.styles, ...stored.styles.slice(settings.styles.length)] };

@@ -42,6 +42,7 @@ function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Screen {
         [empty.skipped_by_me, "were skipped by you."],
         [empty.quota_full, "are of categories that have enough pairs."],
         [empty.dropped, "were dropped by reviewers."],
+        [empty.clip_gone, "are about clips that are no longer in the dataset."],
       ]
     : [];
   const lines = counts.filter(([count]) => count > 0).map(([count, words]) => `${count} ${words}`);

@@ -62,15 +62,19 @@ function wordsOf(app: App, filter: TaskFilter, people: readonly Person[]): strin
 
 /** Asks for an action on all tasks of a filter, and performs it. Returns whether anything was tried. */
 export async function actOnAll(app: App, { filter }: Chosen, people: readonly Person[]): Promise<boolean> {
-  const request = await askRequest(app, filter, people);
-  if (!request) return false;
-  let preview: BulkDone;
-  try {
-    preview = await app.api.post<BulkDone>("bulk/preview", request);
-  } catch (error) {
-    app.toasts.fail(error, "Not counted: ", { ms: 15_000 });
-    return false;
-  }
+  const comment = commentField();
+  let request: BulkRequest | null;
+  let preview: BulkDone | null = null;
+  do {
+    // What was written is still there if it could not be sent.
+    request = await askRequest(app, filter, people, comment);
+    if (!request) return false;
+    try {
+      preview = await app.api.post<BulkDone>("bulk/preview", request);
+    } catch (error) {
+      app.toasts.fail(error, "Not counted: ", { ms: 15_000 });
+    }
+  } while (!preview);
   if (!(await confirm(request, preview, people))) return false;
   const all: BulkDone = { looked_at: 0, done: 0, left_alone: {}, next: null };
   const [label, done] = WORDS[request.action];
@@ -96,9 +100,8 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
 }
 
 /** Asks for the action and its comment or person; `null` if the user cancels. */
-async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
+async function askRequest(app: App, filter: TaskFilter, people: readonly Person[], comment: HTMLTextAreaElement): Promise<BulkRequest | null> {
   const action = select(BULK_ACTIONS.map((own) => [own, WORDS[own][0]] as const));
-  const comment = commentField();
   const person = personSelect(people);
   const fields = { comment: field("Comment, for the authors and the log", comment), person: field("Person", person) };
   const means = h("p", { class: "note", attrs: { "aria-live": "polite" } });

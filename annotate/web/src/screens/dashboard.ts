@@ -262,7 +262,7 @@ function peopleTable(people: Person[]): TemplateResult {
     ["Draft unchanged", (person) => percent(person.draft_unchanged)],
     ["From draft", (person) => percent(person.draft_distance)],
     ["Gold", (person) => (person.gold_items > 0 ? `${percent(person.gold_score)} of ${person.gold_items}` : "n/a")],
-    ["Agreement (Jaccard)", (person) => estimate(person.agreement)],
+    ["Agreement with others", (person) => estimate(person.agreement)],
     ["Last seen", (person) => when(person.last_seen)],
   ]);
 }

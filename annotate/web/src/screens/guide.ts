@@ -7,7 +7,7 @@ import type { App, Screen } from "../app";
 import { Component, action, define } from "../components/component";
 import { fill, h, type Child } from "../dom";
 import { formatGuide, kindGuide, pictureFigure, pictureName, picturePath } from "../guide";
-import { kept } from "../history";
+import { keep, kept } from "../history";
 import { plainButton } from "../ui";
 import { TASK_KINDS, type Guide, type GuideChange, type GuidePicture, type KindGuide, type PictureInfo, type Settings, type SettingsChange, type TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
@@ -87,7 +87,7 @@ class GuideEditor extends Component {
   private change(change: Partial<KindGuide>): void {
     this.guide = { ...this.guide, ...change };
     const draft: GuideChange = { was: this.base, now: this.guide };
-    localStorage.setItem(this.kept, JSON.stringify(draft));
+    keep(this.kept, draft);
     this.requestUpdate();
   }
 

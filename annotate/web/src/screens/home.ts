@@ -48,7 +48,7 @@ export async function openHome(app: App): Promise<Screen> {
     (task) => html`<li class="row">
       ${app.link(`${ROUTE_OF[task.kind]}/${task.task}`, `Fix task ${task.task}`, "button")}
       <span>${task.comment || "no comment"}</span>
-      <span class="note">yours alone ${until(task.until)}</span>
+      <span class="note">yours alone; others may take it ${until(task.until)}</span>
     </li>`,
   );
   const fix = html`<section class="card returned">

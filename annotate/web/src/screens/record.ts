@@ -13,7 +13,7 @@ import { jointList } from "../stage/body";
 import { storyOf } from "../story";
 import { ask, askComment, commentField, field, until, when } from "../ui";
 import type { AuditEntry, BulkDone, Candidate, DecisionRow, Person, ReviewDone, Task, TaskFile, TaskState } from "../wire";
-import { ANSWER_WORDS, DECISION_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
+import { ANSWER_WORDS, DECISION_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, captionsOf, factsOf } from "../words";
 import { leftAlone, personSelect } from "./bulk";
 import { onChange, workScreen } from "./frame";
 import { showTask } from "./shown";
@@ -55,6 +55,9 @@ function read({ api }: App, task: number): Promise<[TaskFile, AuditEntry[]]> {
 class TaskRecord extends Component {
   private selected = 0;
   private busy = false;
+
+  /** The reason of a decision that is not made yet. */
+  private why: HTMLTextAreaElement | null = null;
 
   constructor(
     private readonly app: App,
@@ -117,7 +120,7 @@ class TaskRecord extends Component {
     const { candidates } = this;
     const { keys } = this.app;
     const facts = [`key: ${row.key}`, `split: ${row.split}`, ...factsOf(task)];
-    const captions = task.motions.flatMap((motion) => motion.captions);
+    const captions = captionsOf(task);
     return html`
       <div class="panel-scroll">
         <nav class="row tight" aria-label="The list">
@@ -129,7 +132,7 @@ class TaskRecord extends Component {
         <p class="rule edged">${this.standing()}</p>
         ${this.holders()}
         <ul class="facts">
-          ${facts.map((fact) => html`<li>${fact}</li>`)} ${captions.map((caption) => html`<li>caption: ${caption}</li>`)}
+          ${facts.map((fact) => html`<li>${fact}</li>`)} ${captions.map((caption) => html`<li>${caption}</li>`)}
         </ul>
         <h2>Answers</h2>
         ${candidates.length === 0
@@ -199,10 +202,13 @@ class TaskRecord extends Component {
   private async decide(decision: "reopen" | "drop", done: string): Promise<string | null> {
     const { id } = this.file.task;
     const label = decision === "drop" ? "Drop" : "Reopen";
-    const text = commentField();
+    // The reason is kept until the server has taken it.
+    this.why ??= commentField();
+    const text = this.why;
     const choice = await askComment(`${label} task ${id}: why?`, "Reason", text, [{ label, value: true, kind: "danger" }], "Say why; the log needs it.");
     if (choice === null) return null;
     await this.app.api.post<ReviewDone>("reviews", { ...newReview(id, decision), comment: text.value.trim() });
+    this.why = null;
     return done;
   }
 

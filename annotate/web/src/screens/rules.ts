@@ -116,6 +116,8 @@ export async function openRules(app: App): Promise<Screen> {
         form.first,
       );
       if (go === null) return;
+      trouble = form.wrong();
+      if (trouble !== "") continue;
       const rule = form.rule();
       try {
         await (old ? replace(rule) : save((rules) => [...rules, rule]));
@@ -192,17 +194,18 @@ function earlier(rules: readonly Rule[], name: string): Rule[] {
 
 function onlyOf(rule: Rule): string {
   const kinds = rule.kinds.length === 0 ? "all kinds" : rule.kinds.map((kind) => KIND_WORDS[kind].toLowerCase()).join(", ");
-  const apart = rule.max_distance === 0 ? "equal" : `at most ${percent(rule.max_distance)} apart`;
+  const equal = rule.accepts === "sampled" ? "equal, texts too" : "with equal parts and labels";
+  const apart = rule.max_distance === 0 ? equal : `parts and labels at most ${percent(rule.max_distance)} apart`;
   return `${kinds}; ${rule.min_answers === 1 ? "one answer or more" : `${rule.min_answers} answers or more`}, ${apart}`;
 }
 
 /** Fields of a rule. The name is fixed: accepted answers refer to their rule by name. */
-function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body: Child[]; first: HTMLElement; rule(): Rule } {
+function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body: Child[]; first: HTMLElement; wrong(): string; rule(): Rule } {
   const name = input("text", old.name, { maxlength: 40, readonly: !isNew });
   const accepts = select(RULE_KINDS.map((kind) => [kind, RULE_WORDS[kind]] as const), old.accepts);
-  const answers = input("number", old.min_answers, { min: 1, max: 50 });
-  const apart = input("number", Math.round(old.max_distance * 100), { min: 0, max: 100 });
-  const share = input("number", old.review_percent, { min: 0, max: 100 });
+  const answers = input("number", old.min_answers, { min: 1, max: 50, required: true });
+  const apart = input("number", Math.round(old.max_distance * 100), { min: 0, max: 100, required: true });
+  const share = input("number", old.review_percent, { min: 0, max: 100, required: true });
   const boxes = <T>(values: readonly (readonly [T, string])[], chosen: readonly T[]): { row: HTMLElement; chosen(): T[] } => {
     const all = values.map(([value, label]) => {
       const box = input("checkbox");
@@ -234,10 +237,12 @@ function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body:
         "div",
         { class: "numbers grid" },
         field("Fewest answers of a task", answers),
-        field("Answers apart by at most, %", apart),
+        field("Answers apart by at most, % (texts are compared at 0 only)", apart),
         field("Left to reviewers, % of those that fit", share),
       ),
     ],
+    // What the browser says of the first number that is missing or out of range.
+    wrong: () => [answers, apart, share].find((own) => !own.checkValidity())?.validationMessage ?? "",
     rule: () => ({
       ...old,
       name: name.value.trim(),

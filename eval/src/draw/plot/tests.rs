@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use super::*;
 use crate::draw::tests::check_nesting;
 
@@ -28,6 +30,46 @@ fn a_legend_stands_below_a_title_that_leaves_no_room_beside_it() {
             ..sample(Scale::Linear, vec![(0.0, 1.0), (10.0, 0.5)])
         });
         assert_eq!(svg.matches(r#"y="16.0""#).count(), beside, "{title}");
+    }
+}
+
+#[test]
+fn every_curve_of_many_has_its_own_line_and_a_place_in_the_legend() {
+    let curve = |number: usize| Curve {
+        name: format!("run of the number {number}"),
+        points: vec![(0.0, number as f64), (10.0, number as f64 + 1.0)],
+        ..Curve::default()
+    };
+    let many = Plot {
+        curves: (0..20).map(curve).collect(),
+        ..sample(Scale::Linear, Vec::new())
+    };
+    let svg = plot(&many);
+    check_nesting(&svg);
+    for curve in &many.curves {
+        assert!(svg.contains(&format!(">{}<", curve.name)), "{}", curve.name);
+    }
+    let rows = legend_rows(&many.curves);
+    assert_eq!(rows.concat(), (0..20).collect::<Vec<_>>());
+    let height = SIZE.y + LEGEND_ROW * rows.len() as f64;
+    assert!(svg.contains(&format!(r#"viewBox="0 0 640 {height:.0}""#)));
+    let styles: BTreeSet<_> = (0..20)
+        .map(|index| (colour(index), dashes(index)))
+        .collect();
+    assert_eq!(styles.len(), 20);
+}
+
+#[test]
+fn a_logarithmic_axis_of_a_small_range_has_numbers() {
+    let svg = plot(&Plot {
+        curves: vec![Curve {
+            points: vec![(0.0, 0.24), (10.0, 0.31)],
+            ..Curve::default()
+        }],
+        ..sample(Scale::Log, Vec::new())
+    });
+    for number in ["0.24", "0.26", "0.28", "0.3"] {
+        assert!(svg.contains(&format!(">{number}<")), "{number}: {svg}");
     }
 }
 

@@ -96,7 +96,10 @@ impl Rows {
         let (num_frames, num_channels) = (self.num_frames, self.num_channels);
         let Self { values, .. } = self;
         let expected = num_frames.saturating_mul(num_channels);
-        let accepted = values.len() == expected || (lenient && self.odd_row.is_none());
+        // Frames may be wrapped over several rows. As many odd rows as frames have lost one value and found another.
+        let is_shifted = self.odd_row.is_some() && self.num_rows == num_frames;
+        let accepted =
+            (values.len() == expected && !is_shifted) || (lenient && self.odd_row.is_none());
         if accepted && num_frames > 0 && !values.is_empty() {
             return Ok(values);
         }

@@ -107,6 +107,12 @@ fn dialects_read_the_same() {
         let text = changed(SMALL, changes);
         assert_eq!(parse(&text), Ok(plain.clone()), "{what}");
     }
+    // One row lost a value and the other has one more: the values in between are those of other channels.
+    let shifted = changed(
+        SMALL,
+        &[("0 1 2 0 0 0 0 0 0\n0 1 3 90", "0 1 2 0 0 0 0 0\n0 0 1 3 90")],
+    );
+    assert_eq!(rejection(&shifted).0, "E-BVH-FRAMES");
     let no_end_site = SMALL.replace("\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 0 0 30\n\t\t}\n", "");
     let no_end_site = parse(&no_end_site).expect("no end site");
     assert_eq!(no_end_site.joints[1].end_site, None);

@@ -11,6 +11,9 @@ use clip::{Rejected, rejected};
 /// Code of a skeleton that is no body.
 pub(super) const NO_BODY: &str = "E-GLTF-SKELETON";
 
+/// Maximum number of elements of an accessor without a buffer view, which take no bytes of the file.
+const MOST_ZEROS: usize = 1 << 20;
+
 pub(super) struct Document<'a> {
     pub root: json::Root,
     buffers: Vec<Buffer<'a>>,
@@ -128,6 +131,11 @@ impl<'a> Document<'a> {
             Some(view) => {
                 let offset = accessor.byte_offset.map_or(0, |offset| offset.0);
                 self.dense(view.value(), offset, count, component, &what)?
+            }
+            None if count > MOST_ZEROS => {
+                return Err(accessor_error(format!(
+                    "{what} claims {count} elements without a buffer view, more than {MOST_ZEROS}"
+                )));
             }
             None => vec![[0.0; N]; count],
         };

@@ -101,17 +101,31 @@ impl Licensing {
     }
 }
 
+/// The root of the dataset of which a file is a manifest.
+fn root_of_dataset(relative: &str) -> Option<&str> {
+    let (folder, name) = relative.rsplit_once('/')?;
+    let is_manifest = name.starts_with("manifest-") && name.ends_with(".json");
+    let root = folder.strip_suffix("meta")?;
+    (is_manifest && (root.is_empty() || root.ends_with('/'))).then(|| root.trim_end_matches('/'))
+}
+
 impl FolderLabels {
     /// Reads the labels and licences among the files and beside single source files.
     pub fn read(files: &Files) -> Self {
         let mut labels = Self::default();
         let mut seen = BTreeSet::new();
         let mut lone = BTreeSet::new();
+        let datasets: BTreeSet<&str> = files.all().filter_map(root_of_dataset).collect();
         for relative in files.all() {
             let (folder, name) = relative.rsplit_once('/').unwrap_or(("", relative));
             let Some(path) = files.path(relative) else {
                 continue;
             };
+            // The card of a dataset lists the licences of all its clips, and each clip states its own.
+            if name == "README.md" && datasets.contains(folder) {
+                seen.insert(path.to_owned());
+                continue;
+            }
             if is_label_file(&name.to_lowercase()) || license_text::is_named(name) {
                 seen.insert(path.to_owned());
                 labels.take(files, path, relative);
