@@ -482,11 +482,16 @@ impl Browser {
 
     /// Sets the page's size in pixels, and waits until it is drawn.
     pub fn resize(&self, width: u32, height: u32) {
-        let edge = self.value("[outerWidth - innerWidth, outerHeight - innerHeight]");
-        let edge = |at: usize| edge[at].as_u64().unwrap_or(0) as u32;
-        let [width, height] = [width + edge(0), height + edge(1)];
-        wait(self.client.set_window_size(width, height)).expect("the window has another size");
-        self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }");
+        let mut window = [width, height];
+        // The first size shows how much of the window is not the page. It can't be read from the size before: below
+        // the smallest width of a window, Chromium reports a larger window than it draws.
+        for _ in 0..2 {
+            wait(self.client.set_window_size(window[0], window[1])).expect("the window has another size");
+            self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }");
+            let page = self.value("[innerWidth, innerHeight]");
+            let drawn = |at: usize| page[at].as_u64().unwrap_or(0) as u32;
+            window = [window[0] + width - drawn(0), window[1] + height - drawn(1)];
+        }
     }
 
     /// Saves a screenshot if ANNOTATE_PICTURES names a folder.

@@ -69,7 +69,7 @@ impl Store {
         Ok(done)
     }
 
-    /// Those of some keys that tasks have.
+    /// The keys among these that tasks have already.
     pub fn known_keys(&self, keys: Vec<String>) -> Result<BTreeSet<String>> {
         self.read(|tx| {
             let mut known = BTreeSet::new();

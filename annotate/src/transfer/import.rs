@@ -464,7 +464,7 @@ fn compare_with_known(
             ));
         }
     }
-    // A clip that is a copy of another one now has lost its own content too.
+    // A clip that now repeats another one has lost its content too.
     let contents: BTreeSet<&str> = all.iter().map(|clip| clip.record.hash.as_str()).collect();
     let is_gone = |motion: &&MotionRecord| {
         !contents.contains(motion.hash.as_str()) && !replaced.contains(motion.id.as_str())

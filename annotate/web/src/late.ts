@@ -1,12 +1,12 @@
-/** Answers of closed pages that came too late. */
+/** Answers that came too late, of pages that are closed. */
 
 import { newEvent, reason, type Api } from "./api";
 import type { Outbox, Outcome } from "./outbox";
 import type { TaskView } from "./wire";
 
 /**
- * Submits an answer again that came after its lease had run out, so that the server kept it as a draft, and whose page is
- * closed or in another tab. Returns what the person must know if it cannot be submitted; null once it is on its way.
+ * Submits an answer again whose lease had run out. The server kept it as a draft, and no page of this tab shows its
+ * task. Returns what the person must know if it cannot be submitted, otherwise null.
  */
 export async function submitAgain(app: { api: Pick<Api, "post">; outbox: Outbox }, { item, result }: Outcome): Promise<string | null> {
   const { answer } = item.event;

@@ -99,7 +99,8 @@ impl Transaction {
         Ok(transaction)
     }
 
-    /// Begins a change that follows from what was read of a dataset, which may take long.
+    /// Begins a change that was computed from a dataset which was read before. It is refused if the dataset has changed
+    /// since.
     ///
     /// # Errors
     /// As [`Transaction::begin`], or another run has committed a version since.

@@ -132,7 +132,7 @@ pub(crate) struct Rewritten {
 /// The order in which polars returns the rows of a query.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// That of its table.
+    /// The order of its table.
     Fixed,
     /// The order that the query asks for. Rows that are equal in it come in any order.
     Partial,
@@ -434,7 +434,7 @@ impl Rewriting<'_> {
         let regex = regex_of(pattern, escape, &any)?;
         let not = if negated { "NOT " } else { "" };
         Ok(Some(match list {
-            // A character that no text holds parts them. Without texts the test is null.
+            // The texts are joined by a character that none of them contains. Without texts the test is null.
             Some(list) => format!(
                 "{not}regexp_like(NULLIF(array_to_string({list}, '{PARTING}'), ''), {})",
                 quoted(&format!("(?s{case})(?:^|{PARTING}){regex}(?:{PARTING}|$)"))
@@ -514,7 +514,7 @@ fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }
 
-/// Parts the texts of a list in a test of `LIKE`: the record separator.
+/// Separates the texts of a list in a test of `LIKE`.
 const PARTING: char = '\u{1e}';
 
 /// A pattern of `LIKE` as a regular expression, in which `any` stands for any character.

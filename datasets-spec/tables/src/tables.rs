@@ -97,7 +97,7 @@ impl Tables {
         let schema = self.context.execute(&query.text)?.collect_schema()?;
         let columns = schema.iter().filter(|(_, dtype)| !dtype.is_nested());
         let names: Vec<&str> = columns.map(|(name, _)| name.as_str()).collect();
-        // A result that cannot be ordered by, such as a column of both tables of a join, leaves the order of the query.
+        // Polars may refuse a column, such as one that both tables of a join have. Then the query's own order must do.
         self.collect(&query.ordered_by(&names))
             .or_else(|_| self.collect(&query.text))
     }

@@ -349,7 +349,7 @@ fn grid_line(svg: &mut String, left: f64, right: f64, y: f64, value: f64, span: 
     text(svg, at, "end", 11.0, FAINT, &tick_text(value, span));
 }
 
-/// Attribute that dashes the curves for which no colour of their own is left; empty for the first ones.
+/// Attribute that dashes curves whose colour an earlier curve has already; empty for the others.
 fn dashes(index: usize) -> &'static str {
     const DASHES: [&str; 4] = [
         "",

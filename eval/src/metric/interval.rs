@@ -170,7 +170,7 @@ mod tests {
         // The resamples have variance 1. Three quarters of the repeats' variance of 1/4 are subtracted from it. The
         // interval is at least as wide as the variation over repeats.
         let less = (1.0 - 0.25 * 0.75f64).sqrt();
-        // Without noise of its own, a resample lacks that of the mean of four repeats.
+        // If resamples draw nothing at random, the variance of the mean of four repeats is added.
         let more = (1.0 + 0.25 * 0.25f64).sqrt();
         for (size, share, expected) in [(1.0, 1.0, less), (0.01, 1.0, 0.25), (1.0, 0.0, more)] {
             let repeats = [0.5, -0.5, 0.5, -0.5];

@@ -109,7 +109,7 @@ pub fn seams(num_frames: usize, edited: Range<usize>, fps: Fps, windows: Windows
         true => model_frames,
         false => model_frame(edited.end),
     };
-    // The editor begins at the first frame where it would begin at the second.
+    // A range that begins at the second frame is edited from the first one on.
     let first = Some(model_frame(edited.start)).filter(|frame| *frame >= FIXED_FRAMES);
     let first = first.unwrap_or(0);
     let latest = model_frames.saturating_sub(window);

@@ -40,7 +40,7 @@ pub struct Removed {
     pub root_hash: String,
 }
 
-/// A removal that nothing has done yet.
+/// What a removal would do.
 struct Planned {
     dataset: Dataset,
     chosen: BTreeSet<MotionId>,
@@ -88,7 +88,7 @@ impl Planned {
     }
 }
 
-/// What [`remove`] would do. It also answers where nothing can be written, and while another run writes.
+/// What [`remove`] would do. This needs no lock, so it works while another run writes, and on folders that are read-only.
 ///
 /// # Errors
 /// No clip is chosen, or all are, or a table cannot be read.

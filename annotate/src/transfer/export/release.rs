@@ -37,7 +37,7 @@ impl Exporter<'_> {
                 for (name, count) in lost_of(said.masks) {
                     exporter.done.lose(name, count);
                 }
-                // Texts of the release that fit no mask are those of the imported answer alone.
+                // Texts of a release that fit no mask belong to the imported answer, not to a later one.
                 let is_imported = accepted.basis.starts_with("import");
                 let extra = task.extra.as_ref().filter(|_| is_imported);
                 let (parts, said) = release::entries(said.masks, extra);

@@ -96,7 +96,8 @@ impl Rows {
         let (num_frames, num_channels) = (self.num_frames, self.num_channels);
         let Self { values, .. } = self;
         let expected = num_frames.saturating_mul(num_channels);
-        // Frames may be wrapped over several rows. As many odd rows as frames have lost one value and found another.
+        // Frames may be wrapped over several rows. But if there are as many rows as frames, and some have another length,
+        // one lacks a value and another has one too many.
         let is_shifted = self.odd_row.is_some() && self.num_rows == num_frames;
         let accepted =
             (values.len() == expected && !is_shifted) || (lenient && self.odd_row.is_none());
