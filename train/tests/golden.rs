@@ -1,9 +1,11 @@
 //! Parity of the networks and the diffusion with the reference implementations.
 
 mod gaussian;
+mod j2s;
 mod mdm;
 mod mld;
 mod tmed;
+mod tmr;
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -12,7 +14,7 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
-use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
+use datasets_spec::{Pose, Seed, Skeleton};
 use glam::DVec3;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
@@ -26,21 +28,17 @@ use train::config::{
 use train::data::{NoisyBatch, TextBatch};
 use train::diffusion::guide;
 use train::features::smpl135;
-use train::j2s::{J2sPreset, PoseNet};
 use train::model::coordinator::Coordinator;
 use train::model::denoiser::{Denoiser, progress_indices};
 use train::model::pass::{Arithmetic, Pass};
 use train::model::position::sinusoid;
-use train::model::tmr::{
-    Distribution, SequenceDecoder, SequenceEncoder, cosine_similarity, info_nce,
-};
 use train::model::weights::{from_safetensors, to_safetensors};
 use train::sample::{Condition, Guide, Sampler};
 use train::schedule::Schedule;
 use train::vocabulary::TokenBatch;
 
 use crate::recorded::Recorded;
-use crate::shared::{frozen_text, objective, plain_stats, quietly, refused};
+use crate::shared::{frozen_text, objective};
 use gaussian::{Derived, check_arrays};
 
 pub(crate) struct Golden(pub(crate) Recorded);
@@ -655,113 +653,6 @@ fn golden_autoregressive() {
     }
 }
 
-#[test]
-fn golden_tmr_encoder_decoder() {
-    let golden = Golden::read("tmr_encoder_decoder");
-    let config = golden.network("latent_dim", "ff_size");
-    let (device, pass) = (Device::flex(), Pass::default());
-    let [motion, text] = ["motion", "text"].map(|side| {
-        let width = golden.size(&format!("nfeats_{side}"));
-        let encoder = SequenceEncoder::new(width, &config, &device);
-        let encoder = golden.load(encoder, &format!("weights.{side}_encoder."));
-        let lengths = golden.indices(&format!("in.{side}_lengths"));
-        let latent = encoder.forward(golden.tensor(&format!("in.{side}")), &lengths, &pass);
-        check(latent.mu.clone(), &golden, &format!("out.{side}_mu"), 3e-5);
-        check(latent.logvar, &golden, &format!("out.{side}_logvar"), 3e-5);
-        latent.mu
-    });
-
-    let decoder = SequenceDecoder::new(golden.size("nfeats_motion"), &config, &device);
-    let decoder = golden.load(decoder, "weights.motion_decoder.");
-    let lengths = golden.indices("in.motion_lengths");
-    let steps = golden.values("in.motion").1[1];
-    let decoded = decoder.forward(motion.clone(), &lengths, steps, &pass);
-    check(decoded, &golden, "out.decoded", 3e-5);
-    let similarity = cosine_similarity(text, motion);
-    check(similarity, &golden, "out.sim", 3e-5);
-}
-
-#[test]
-fn golden_tmr_is_imported_as_an_encoder_of_motions() {
-    use train::checkpoint::Slot;
-    use train::exchange::import_motion_encoder;
-    use train::features::FeatureRecipe;
-    use train::tmr::TmrEncoder;
-
-    let golden = Golden::read("tmr_encoder_decoder");
-    let width = golden.size("nfeats_motion");
-    // All three networks in one file, as Lightning stores them; then only the motion encoder.
-    for taken in ["weights.", "weights.motion_encoder."] {
-        let bytes = golden.weights(taken);
-        let dir = tempfile::tempdir().expect("a folder");
-        let run = dir.path().join("run");
-        let device = Device::flex();
-        let import = |recipe: FeatureRecipe| {
-            let stats = plain_stats(recipe, width);
-            let (heads, bytes) = (golden.size("num_heads"), bytes.clone());
-            let path = Path::new("motion_encoder.pt");
-            import_motion_encoder(&run, heads, stats, bytes, path, None, &device)
-        };
-        refused(import(FeatureRecipe::MotionFix), "135");
-        import(FeatureRecipe::HumanMl3d).expect("imported");
-
-        let encoder = TmrEncoder::load(&run, Slot::Best, &device).expect("an encoder");
-        assert_eq!(encoder.recipe(), FeatureRecipe::HumanMl3d);
-        let lengths = golden.indices("in.motion_lengths");
-        let steps = golden.values("in.motion").1[1];
-        let codes = encoder.encode_features(golden.f32s("in.motion"), &lengths, steps);
-        let difference = max_difference(&codes.concat(), &golden.f32s("out.motion_mu"));
-        assert!(difference < 3e-5, "{difference}");
-        // The released text encoder reads the states of another network, which is missing here.
-        assert!(encoder.encode_texts(&["walk"]).is_err());
-        let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 30]).expect("finite");
-        let code = encoder.encode(&[&motion]).expect("long enough");
-        assert!(code[0].iter().all(|value| value.is_finite()));
-    }
-}
-
-#[test]
-fn golden_tmr_losses() {
-    let golden = Golden::read("tmr_losses");
-    let (embeddings, shape) = golden.values("in.sent_emb");
-    // The official threshold is 0.8 on scores in [0, 1]; here it is converted to a cosine.
-    let row = |i: usize| &embeddings[i * shape[1]..(i + 1) * shape[1]];
-    let filtered: Vec<bool> = (0..shape[0])
-        .flat_map(|i| (0..shape[0]).map(move |j| (i, j)))
-        .map(|(i, j)| {
-            let cosine: f64 = row(i).iter().zip(row(j)).map(|(a, b)| a * b).sum();
-            i != j && cosine > 2.0 * 0.8 - 1.0
-        })
-        .collect();
-    let unfiltered = vec![false; filtered.len()];
-    assert!(filtered.iter().any(|&f| f), "the case filters nothing");
-    for (kind, ignored) in [("_nofilter", &unfiltered), ("_filter", &filtered)] {
-        for temperature in golden.between("out.infonce_t", kind) {
-            let name = format!("out.infonce_t{temperature}{kind}");
-            let loss = info_nce(
-                golden.tensor("in.x"),
-                golden.tensor("in.y"),
-                temperature.parse().expect("a number"),
-                ignored,
-            );
-            let difference = (loss.into_scalar::<f32>() - golden.f32s(&name)[0]).abs();
-            assert!(difference < 1e-5, "{name}: {difference}");
-        }
-    }
-    let q = Distribution {
-        mu: golden.tensor("in.mu_q"),
-        logvar: golden.tensor("in.logvar_q"),
-    };
-    let p = Distribution {
-        mu: golden.tensor("in.mu_p"),
-        logvar: golden.tensor("in.logvar_p"),
-    };
-    for (kl, name) in [(q.kl(&p), "out.kl"), (q.kl(&q.standard()), "out.kl_std")] {
-        let kl: f32 = kl.into_scalar();
-        assert!((kl - golden.f32s(name)[0]).abs() < 1e-5, "{name}: {kl}");
-    }
-}
-
 fn recorded_poses(golden: &Golden) -> Vec<Pose> {
     let rotations = golden.points("in.rots");
     let frames = golden.points("in.trans").into_iter().enumerate();
@@ -781,105 +672,4 @@ fn golden_evaluator_features() {
     // The reference multiplies a chain of matrices in f32.
     let difference = max_difference(features.as_flattened(), &golden.f32s("out.evaluator135"));
     assert!(difference < 5e-6, "{difference}");
-}
-
-fn pose_net(golden: &Golden, preset: J2sPreset) -> PoseNet {
-    let (prefix, width) = match preset {
-        J2sPreset::Official => ("weights.bn.", 64),
-        J2sPreset::Paper => ("weights.ln.", 48),
-    };
-    let (bytes, path, device) = (golden.bytes(), &golden.0.path, Device::flex());
-    let net = PoseNet::from_safetensors(preset, width, bytes, prefix, path, &device);
-    net.expect("loads by name")
-}
-
-#[test]
-fn golden_j2s_mlp() {
-    let golden = Golden::read("j2s_mlp");
-    for (preset, input, output) in [
-        (J2sPreset::Official, "in.bn.x", "out.bn.y"),
-        (J2sPreset::Paper, "in.ln.x", "out.ln.y"),
-    ] {
-        let net = pose_net(&golden, preset);
-        let found = net.raw(golden.f32s(input), 16, &Device::flex());
-        let difference = max_difference(&found, &golden.f32s(output));
-        assert!(difference < 2e-5, "{preset:?}: {difference}");
-    }
-}
-
-#[test]
-fn golden_j2s_pipeline() {
-    use glam::DMat3;
-    use kinematics::fit::AdamFit;
-    use kinematics::skeleton::{FIT_KEYPOINTS, NUM_JOINTS, NUM_KEYPOINTS};
-
-    let golden = Golden::read("j2s_pipeline");
-    let net = pose_net(&Golden::read("j2s_mlp"), J2sPreset::Official);
-    let rest: [DVec3; NUM_JOINTS] = golden.points("in.rest_joints").try_into().expect("55");
-    let skeleton = Skeleton::new("recorded", rest);
-    let upsampled = golden.points("out.upsampled");
-    let frames: Vec<[DVec3; NUM_KEYPOINTS]> = upsampled
-        .chunks_exact(24)
-        .map(|row| {
-            let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
-            for (&slot, &point) in FIT_KEYPOINTS.iter().zip(row) {
-                frame[slot] = point;
-            }
-            frame
-        })
-        .collect();
-    let first = net.poses(&frames, &skeleton, &Device::flex());
-    let (matrices, _) = golden.values("out.init_matrices");
-    for (pose, expected) in first.iter().zip(matrices.chunks_exact(22 * 9)) {
-        for (rotation, expected) in pose.rotations.iter().zip(expected.chunks_exact(9)) {
-            let found = DMat3::from_quat(*rotation).transpose().to_cols_array();
-            for (found, expected) in found.iter().zip(expected) {
-                assert!((found - expected).abs() < 1e-4, "{found} {expected}");
-            }
-        }
-    }
-    let fitted = AdamFit::official().fit(&skeleton, &frames, &AdamFit::parameters_of(&first));
-    let (found, recorded) = (fitted.mse, golden.values("out.final_world_mse").0[0]);
-    assert!(found <= 1.5 * recorded, "{found} {recorded}");
-}
-
-#[test]
-fn a_pose_network_learns_and_is_loaded_again() {
-    use train::j2s::{J2sConfig, train_j2s};
-
-    let poses: Vec<Pose> = (0..64)
-        .map(|frame| {
-            let mut pose = Pose::REST;
-            for (joint, turn) in pose.rotations.iter_mut().enumerate().skip(1) {
-                let swing = 0.4 * (0.3 * f64::from(frame) + joint as f64).sin();
-                *turn = rotation::from_axis_angle(DVec3::X * swing);
-            }
-            pose
-        })
-        .collect();
-    let motion = [Motion::from_poses(Fps::STORE, &poses).expect("finite")];
-    let dir = tempfile::tempdir().expect("a folder");
-    for preset in [J2sPreset::Paper, J2sPreset::Official] {
-        let mut config = J2sConfig::preset(preset);
-        config.width = 64;
-        config.run.batch_size = 64;
-        config.run.length = train::config::RunLength::of_steps(60);
-        let run = dir.path().join(format!("{preset:?}"));
-        let skeleton = Skeleton::smplx_neutral();
-        let motions = [&motion[..], &motion];
-        let report =
-            quietly(|session| train_j2s(&run, &config, motions, &skeleton, "hash", session));
-        let report = report.expect("trained");
-        assert!(report.loss[1] < 0.8 * report.loss[0], "{:?}", report.loss);
-        let by_name = |name: &str| {
-            let way = report.fits.iter().find(|fit| fit.name == name);
-            way.expect("measured").error_mm
-        };
-        assert!(by_name("network, Adam") < by_name("network"));
-        assert!(by_name("network, second order") < by_name("network, Adam"));
-        let path = run.join("model.safetensors");
-        let bytes = std::fs::read(&path).expect("written");
-        let device = Device::flex();
-        PoseNet::from_safetensors(preset, 64, bytes, "", &path, &device).expect("its own file");
-    }
 }

@@ -1,7 +1,11 @@
 //! The trainer learns, stops and continues runs, and edits are repeatable.
 
+mod coordinator;
+mod edits;
+mod encoder;
 mod mdm;
 mod mld;
+mod runs;
 mod tmed;
 
 use std::f64::consts::{PI, SQRT_2};
@@ -407,135 +411,6 @@ fn check_continued(
     ([whole, parts], reports)
 }
 
-#[test]
-fn an_interrupted_run_ends_as_an_uninterrupted_one() {
-    let files = [
-        "last/denoiser.safetensors",
-        "best/denoiser.safetensors",
-        "last/text.safetensors",
-        "best/text.safetensors",
-        "last/state.json",
-    ];
-    // The first run stops between two lines of the metrics, right after a checkpoint, and after its end.
-    for (config, stops, files) in [
-        (small_config(25), &[7, 3, 100][..], &files[..]),
-        (rich_config(25), &[13, 100], &files[..2]),
-    ] {
-        let ([whole, _], reports) = check_continued(stops, files, |run, session| {
-            let report = train_motionrefit(run, &config, corpus(&waves(20)), session);
-            report.expect("trains")
-        });
-        assert!(!reports[0].is_complete);
-        if config.run.optimizer.ema_decay.is_some() {
-            // The editor uses the averaged weights.
-            let weights = |name: &str| std::fs::read(whole.path().join("checkpoint").join(name));
-            let [last, best] = [files[0], files[1]].map(|name| weights(name).expect("weights"));
-            assert!(last != best);
-        }
-    }
-}
-
-#[test]
-fn a_run_killed_between_two_checkpoints_of_a_step_writes_both_again() {
-    // The last step is validated for the first time, and ends an epoch that is kept.
-    let mut config = small_config(3);
-    config.run.keep_epochs = 1;
-    let files = ["best", "epoch-1", "last"].map(|slot| format!("{slot}/denoiser.safetensors"));
-    let files = files.each_ref().map(String::as_str);
-    let source = waves(20);
-    let whole = tempfile::tempdir().expect("a folder");
-    train(whole.path(), &config, &source);
-    for slot in ["best", "epoch-1", "last"] {
-        let killed = tempfile::tempdir().expect("a folder");
-        // A file where a checkpoint is written ends the run there.
-        let checkpoints = killed.path().join("checkpoint");
-        let obstacle = checkpoints.join(format!(".{slot}.new"));
-        std::fs::create_dir(&checkpoints).expect("a folder");
-        std::fs::write(&obstacle, "").expect("writes");
-        refused(try_to_train(killed.path(), &config, &source), "cannot");
-        std::fs::remove_file(&obstacle).expect("removed");
-        train(killed.path(), &config, &source);
-        assert_eq!(logged_losses(killed.path()), logged_losses(whole.path()));
-        check_same(whole.path(), killed.path(), &files);
-    }
-}
-
-/// A run that uses everything a checkpoint stores: micro-batches, clipped gradients, averaged weights, dropout.
-fn rich_config(num_steps: u64) -> TrainConfig {
-    let mut config = small_config(num_steps);
-    config.model.dropout = 0.1;
-    config.run.micro_batch_size = Some(3);
-    config.run.optimizer.max_gradient_norm = Some(0.5);
-    config.run.optimizer.ema_decay = Some(0.9);
-    config.diffusion.previous = PreviousFrames::Encoded;
-    config.diffusion.prediction = Prediction::Gated;
-    config.diffusion.tell_frames = true;
-    config
-}
-
-#[test]
-fn the_number_of_threads_changes_nothing() {
-    let losses = [1, 2, 5].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        let dir = tempfile::tempdir().expect("a folder");
-        let mut config = rich_config(10);
-        // A step has three micro-batches, of 16, 16 and 8 windows.
-        (config.run.batch_size, config.run.micro_batch_size) = (40, None);
-        let act = || train(dir.path(), &config, &waves(20));
-        pool.expect("a pool").install(act);
-        logged_losses(dir.path())
-    });
-    assert_eq!(losses[0], losses[1]);
-    assert_eq!(losses[0], losses[2]);
-}
-
-#[test]
-fn a_batch_in_parts_and_on_several_devices_is_the_whole_batch() {
-    let source = waves(20);
-    let losses = |micro_batch_size: usize, more_devices: &[Device]| {
-        let mut config = small_config(10);
-        config.run.micro_batch_size = Some(micro_batch_size);
-        let dir = tempfile::tempdir().expect("a folder");
-        let trained = quietly(|session| {
-            let session = Session {
-                more_devices,
-                ..*session
-            };
-            train_motionrefit(dir.path(), &config, corpus(&source), &session)
-        });
-        trained.expect("trains");
-        logged_losses(dir.path())
-    };
-    let whole = losses(8, &[]);
-    let parts = losses(3, &[]);
-    let spread = losses(3, &[Device::flex(), Device::flex()]);
-    // Each device computes the same micro-batches in the same order.
-    assert_eq!(parts, spread);
-    for ((step, whole), (_, parts)) in whole.iter().zip(&parts) {
-        // The tolerance covers sums in another order, over ten steps of the optimiser.
-        let is_near = (whole - parts).abs() < 1e-4 * whole;
-        assert!(is_near, "{step}: {whole} {parts}");
-    }
-}
-
-#[test]
-fn epochs_are_counted_and_their_checkpoints_kept() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut config = small_config(1);
-    // 20 items in steps of 8 make an epoch of three steps.
-    config.run.length = RunLength {
-        epochs: Some(5),
-        steps: 100,
-    };
-    config.run.keep_epochs = 2;
-    let report = train(dir.path(), &config, &waves(20));
-    assert_eq!(report.steps, 15);
-    for (epoch, is_kept) in [(1, false), (2, true), (3, false), (4, true), (5, false)] {
-        let loaded = Editor::load(dir.path(), Slot::Epoch(epoch), &Device::flex());
-        assert_eq!(loaded.is_ok(), is_kept, "{epoch}");
-    }
-}
-
 /// Vectors of the two instructions, as from a frozen encoder.
 fn two_vectors(values: &[f32]) -> EmbeddingTable {
     EmbeddingTable::of_vectors("frozen", &INSTRUCTIONS[..], values).expect("a row for each text")
@@ -577,6 +452,21 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     refused(edit("wave"), r#"lacks 1 texts, such as "wave""#);
 }
 
+/// Trains a network on one batch, with a rate that falls to zero, and checks that it learns the batch by heart.
+fn check_overfits<M: Module>(mut model: M, steps: u32, rate: f64, loss: impl Fn(&M) -> Tensor<1>) {
+    let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let mut losses = Vec::new();
+    for step in 0..steps {
+        let loss = loss(&model);
+        losses.push(loss.clone().into_scalar::<f32>());
+        let gradients = GradientsParams::from_grads(loss.backward(), &model);
+        let rate = rate * (1.0 - f64::from(step) / f64::from(steps));
+        model = optimizer.step(rate, model, gradients);
+    }
+    let (first, last) = (losses[0], losses[losses.len() - 1]);
+    assert!(last < 0.01 * first, "{first} fell to {last}");
+}
+
 fn steps_done(run: &Path) -> u64 {
     std::fs::read(run.join("checkpoint/last/state.json")).map_or(0, |state| {
         let state: serde_json::Value = serde_json::from_slice(&state).expect("JSON");
@@ -584,148 +474,37 @@ fn steps_done(run: &Path) -> u64 {
     })
 }
 
-#[test]
-fn a_run_with_damaged_weights_is_refused() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let source = waves(8);
-    train(dir.path(), &small_config(1), &source);
-    let weights = dir.path().join("checkpoint/last/denoiser.safetensors");
-    let mut bytes = std::fs::read(&weights).expect("weights");
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    std::fs::write(&weights, bytes).expect("damaged");
-    let damaged = try_to_train(dir.path(), &small_config(1), &source);
-    refused(damaged, "is corrupt");
-}
-
 fn record(run: &Path) -> serde_json::Value {
     let text = std::fs::read(run.join("config.json")).expect("a record");
     serde_json::from_slice(&text).expect("JSON")
 }
 
-#[test]
-fn a_run_is_extended_and_says_so() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let run = dir.path();
-    let source = waves(8);
-    train(run, &small_config(4), &source);
-    let mut longer = small_config(9);
-    longer.run.optimizer.learning_rate *= 0.5;
-    let unasked = try_to_train(run, &longer, &source);
-    assert!(
-        matches!(&unasked, Err(Error::OtherRun { field, .. }) if field.starts_with("config.train."))
-    );
-    refused(unasked, "--extend");
-    let extend = Start {
-        extend: true,
-        ..Start::from(run)
-    };
-    let done = try_to_train(extend, &longer, &source).expect("extended");
-    assert_eq!((done.steps, done.is_complete), (9, true));
-    let lineage = record(run)["lineage"].clone();
-    let ancestor = &lineage[0];
-    assert_eq!(ancestor["by"], "extend");
-    assert_eq!(ancestor["step"], 4);
-    let steps = &ancestor["changed"]["config.train.length.steps"];
-    assert_eq!(*steps, serde_json::json!([4, 9]));
-    // Repeating the command does nothing, with and without `--extend`.
-    for start in [extend, Start::from(run)] {
-        let again = try_to_train(start, &longer, &source).expect("there");
-        assert_eq!(again.steps, 9);
+/// Checks that the checkpoints of two runs have equal files.
+fn check_same(a: &Path, b: &Path, names: &[&str]) {
+    for name in names {
+        let [a, b] = [a, b].map(|run| std::fs::read(run.join("checkpoint").join(name)));
+        assert!(a.expect("a file") == b.expect("a file"), "{name} differs");
     }
-    assert_eq!(record(run)["lineage"], lineage);
-    // Neither another network nor a length that the run has already passed is accepted.
-    let mut wider = longer.clone();
-    wider.model.width *= 2;
-    assert!(matches!(
-        try_to_train(extend, &wider, &source),
-        Err(Error::OtherRun { field, .. }) if field == "config.train.model.width"
-    ));
-    assert!(matches!(
-        try_to_train(extend, &small_config(5), &source),
-        Err(Error::Config { field, .. }) if field == "length"
-    ));
-    assert_eq!(record(run)["config"]["train"]["length"]["steps"], 9);
-    let other = tempfile::tempdir().expect("a folder");
-    let nothing = Start {
-        run: other.path(),
-        ..extend
-    };
-    let begun = try_to_train(nothing, &longer, &source);
-    refused(begun, "is not a motionrefit run");
 }
 
-#[test]
-fn a_run_begins_with_the_weights_of_another() {
-    let [first, second, third, fourth] = [(); 4].map(|()| tempfile::tempdir().expect("a folder"));
-    train(first.path(), &small_config(10), &waves(8));
-    // A learning rate of zero does not change the weights.
-    let mut still = small_config(1);
-    still.run.optimizer.learning_rate = 0.0;
-    let start = Start {
-        init: Some(first.path()),
-        ..Start::from(second.path())
-    };
-    let other = waves(12);
-    try_to_train(start, &still, &other).expect("trains");
-    check_same(first.path(), second.path(), &["best/denoiser.safetensors"]);
-    let editor = Editor::load(first.path(), Slot::Best, &Device::flex()).expect("loads");
-    let lineage = &record(second.path())["lineage"];
-    assert_eq!(lineage[0]["by"], "init");
-    assert_eq!(lineage[0]["weights"], editor.hash());
-    // The run continues without the other run being given again.
-    train(second.path(), &still, &other);
-    train(third.path(), &small_config(2), &waves(8));
-    let swapped = Start {
-        init: Some(third.path()),
-        ..start
-    };
-    let swapped = try_to_train(swapped, &still, &other);
-    assert!(matches!(swapped, Err(Error::OtherRun { .. })));
-    // A network of another shape cannot start from these weights.
-    let mut wider = still.clone();
-    wider.model.width *= 2;
-    let misfit = Start {
-        run: fourth.path(),
-        ..start
-    };
-    let misfit = try_to_train(misfit, &wider, &other);
-    assert!(matches!(misfit, Err(Error::Weights { .. })));
-}
+/// Joints and their rotation vectors in radians.
+const ARMS_UP: [(usize, DVec3); 2] = [
+    (16, DVec3::new(0.0, 0.0, 1.2)),
+    (17, DVec3::new(0.0, 0.0, -1.2)),
+];
+const SITTING: [(usize, DVec3); 4] = [
+    (1, DVec3::new(-1.4, 0.0, 0.0)),
+    (2, DVec3::new(-1.4, 0.0, 0.0)),
+    (4, DVec3::new(1.4, 0.0, 0.0)),
+    (5, DVec3::new(1.4, 0.0, 0.0)),
+];
 
-#[test]
-fn a_loss_that_is_no_number_ends_the_run_and_is_never_best() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let source = waves(8);
-    let broken = Waves {
-        is_broken: true,
-        ..waves(8)
-    };
-    let corpus = Corpus {
-        val: &broken,
-        ..corpus(&source)
-    };
-    let config = small_config(4);
-    let ended = quietly(|session| train_motionrefit(dir.path(), &config, corpus, session));
-    assert!(matches!(
-        ended,
-        Err(Error::Diverged {
-            step: 4,
-            kept: 0,
-            ..
-        })
-    ));
-    refused(ended, "validation loss");
-    assert!(!dir.path().join("checkpoint/best").exists());
-    let other = tempfile::tempdir().expect("a folder");
-    assert!(matches!(
-        try_to_train(other.path(), &config, &broken),
-        Err(Error::Diverged {
-            what: "training",
-            step: 0,
-            ..
-        })
-    ));
+fn captioned(index: usize, motion: Motion, caption: &str) -> CaptionedClip {
+    CaptionedClip {
+        id: index.to_string(),
+        motion,
+        captions: vec![caption.to_owned()],
+    }
 }
 
 /// A body that walks and swings its arms.
@@ -745,94 +524,6 @@ fn walk(num_frames: usize, speed: f64, phase: f64) -> Motion {
         })
         .collect();
     Motion::from_poses(Fps::STORE, &poses).expect("a motion")
-}
-
-#[test]
-fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut config = small_config(10);
-    // As published, an edit starts on the first frames of the original, and noise is white. Ten steps are too few to
-    // learn the shape of the noise.
-    config.diffusion.generated_starts = 0.0;
-    config.diffusion.noise = NoiseKind::White;
-    train(dir.path(), &config, &waves(20));
-    let editor = Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    let record = &editor.record().config;
-    let item = |id: &str, num_frames: usize, instruction: &str| {
-        let motion = walk(num_frames, 1.0, 0.0);
-        whole_item(id, &motion, instruction, record).expect("long enough")
-    };
-    let [raise, lower] = ["raise it", "lower it"];
-    let items = [
-        item("a", 61, raise),
-        item("b", 31, lower),
-        item("c", 93, raise),
-    ];
-    let settings = EditSettings {
-        guidance: 2.0,
-        ..edit_settings(record)
-    };
-    let edit = |items: &[EditItem], settings: &EditSettings| {
-        edited(&editor, items, settings).expect("edits").0
-    };
-    let together = edit(&items, &settings);
-    // 61 frames at 20 fps are 31 frames at 10 fps: windows start at 0 and 10, and one at 15 ends with the motion.
-    let lengths: Vec<usize> = together.iter().map(Vec::len).collect();
-    assert_eq!(lengths, [31, WINDOW_FRAMES, 47]);
-    assert_eq!(edit(&items, &settings), together);
-
-    let difference = |a: &[KeypointFrame], b: &[KeypointFrame]| {
-        let pairs = a.as_flattened().iter().zip(b.as_flattened());
-        pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
-    };
-    let alone = edit(&items[2..], &settings);
-    // Matrix products of a smaller batch may be summed in another order. The f32 rounding, over 20 steps of five
-    // windows, stays below a tenth of a millimetre.
-    assert!(difference(&alone[0], &together[2]) < 1e-4);
-    let other = EditSettings {
-        seed: Seed(6),
-        ..settings
-    };
-    assert!(difference(&edit(&items, &other)[0], &together[0]) > 1e-3);
-
-    // The generated motion starts on the first two frames of the original.
-    let source = SKELETON.motion_keypoints(&walk(61, 1.0, 0.0));
-    assert!(difference(&together[0][..1], &source.points[..1]) < 1e-5);
-    assert!(difference(&together[0][1..2], &source.points[2..3]) < 1e-5);
-}
-
-/// The record of an editor of the tiny preset that was never trained.
-fn untrained_record() -> EditorRecord {
-    EditorRecord {
-        train: TrainConfig::preset(Preset::Tiny),
-        normalizer: METRES,
-        text: TextRecord::Learned(Vocabulary::build(["wave"], 1, 4).expect("valid")),
-        compose: COMPOSE.clone(),
-        extrapolation: None,
-    }
-}
-
-/// Checks that the checkpoints of two runs have equal files.
-fn check_same(a: &Path, b: &Path, names: &[&str]) {
-    for name in names {
-        let [a, b] = [a, b].map(|run| std::fs::read(run.join("checkpoint").join(name)));
-        assert!(a.expect("a file") == b.expect("a file"), "{name} differs");
-    }
-}
-
-/// Trains a network on one batch, with a rate that falls to zero, and checks that it learns the batch by heart.
-fn check_overfits<M: Module>(mut model: M, steps: u32, rate: f64, loss: impl Fn(&M) -> Tensor<1>) {
-    let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
-    let mut losses = Vec::new();
-    for step in 0..steps {
-        let loss = loss(&model);
-        losses.push(loss.clone().into_scalar::<f32>());
-        let gradients = GradientsParams::from_grads(loss.backward(), &model);
-        let rate = rate * (1.0 - f64::from(step) / f64::from(steps));
-        model = optimizer.step(rate, model, gradients);
-    }
-    let (first, last) = (losses[0], losses[losses.len() - 1]);
-    assert!(last < 0.01 * first, "{first} fell to {last}");
 }
 
 /// Edits, and the times that they took.
@@ -863,269 +554,4 @@ fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
         frames,
         text: text.to_owned(),
     }
-}
-
-#[test]
-fn windows_hear_the_instruction_their_frames_belong_to() {
-    let mut record = untrained_record();
-    record.train.diffusion.overlap = 0;
-    // 145 frames at 20 fps are 73 frames at 10 fps: windows start at 0, 14, 28, 42 and 56, and one at 57 adds the last
-    // frame.
-    let motion = walk(145, 1.0, 0.0);
-    let cut = |record: &EditorRecord, asked: &[TimedInstruction]| {
-        let item = EditItem::timed("walk", &motion, asked, Fps::STORE, &SKELETON, record);
-        item.map(|item| item.windows)
-    };
-    let texts = |asked: &[TimedInstruction]| -> String {
-        let windows = cut(&record, asked).expect("cut").into_iter();
-        let texts = windows.map(|window| window.instruction);
-        let texts = texts.map(|text| text.map_or("-".to_owned(), |text| text.to_string()));
-        texts.collect::<Vec<_>>().join(" ")
-    };
-    // Starts of the windows, and numbers of their frames that are used.
-    let places = |record: &EditorRecord, asked: TimedInstruction| -> (Vec<usize>, Vec<usize>) {
-        let windows = cut(record, &[asked]).expect("cut").into_iter();
-        windows.map(|window| (window.start, window.used)).unzip()
-    };
-    let both = [timed(0..60, "raise"), timed(60..88, "lower")];
-    assert_eq!(texts(&both), "raise raise lower - - -");
-    // A range shorter than a window gets a window that starts two frames earlier and is used up to the range's end.
-    assert_eq!(texts(&[timed(40..60, "raise")]), "- - raise - - - -");
-    let (starts, used) = places(&record, timed(40..60, "raise"));
-    assert_eq!(starts, [0, 14, 18, 28, 42, 56, 57]);
-    assert_eq!(used, [16, 6, 12, 16, 16, 16, 16]);
-    let windows = cut(&record, &[timed(0..145, "raise")]).expect("cut");
-    let expected = [0.0, 28.0, 56.0, 84.0, 112.0, 114.0].map(|frame| frame / 145.0);
-    for (found, expected) in windows.iter().zip(expected) {
-        assert!((found.progress - expected).abs() < 1e-6);
-    }
-    // Windows share four frames with the previous one, except those without an instruction.
-    let mut overlapping = untrained_record();
-    overlapping.train.diffusion.overlap = 4;
-    let (starts, used) = places(&overlapping, timed(0..60, "raise"));
-    assert_eq!(starts, [0, 10, 20, 28, 42, 56, 57]);
-    assert_eq!(used, [16, 16, 10, 16, 16, 16, 16]);
-    let hidden = [timed(0..60, "raise"), timed(0..50, "lower")];
-    refused(cut(&record, &hidden), "no frame of its own");
-    refused(cut(&record, &[timed(0..200, "raise")]), "145 frames");
-    refused(cut(&record, &[timed(20..20, "raise")]), "does not fit");
-}
-
-#[test]
-fn windows_without_an_instruction_stay_as_they_were() {
-    let dir = tempfile::tempdir().expect("a folder");
-    train(dir.path(), &small_config(10), &waves(20));
-    let editor = Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    let record = &editor.record().config;
-    let motion = walk(145, 1.0, 0.0);
-    let asked = [timed(60..88, "raise it")];
-    let item = EditItem::timed("a", &motion, &asked, Fps::STORE, &SKELETON, record).expect("cut");
-    let (edited, times) = edited(&editor, &[item], &edit_settings(record)).expect("edits");
-    assert_eq!(times.num_windows, 1);
-    let original = SKELETON.motion_keypoints(&motion);
-    let away: Vec<f64> = edited[0]
-        .iter()
-        .enumerate()
-        .map(|(frame, points)| {
-            let pairs = points.iter().zip(&original.points[2 * frame]);
-            pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
-        })
-        .collect();
-    // The third window is edited: it adds frames 30 to 43. Earlier frames differ only by f32 rounding.
-    assert!(away[..30].iter().all(|&away| away < 1e-5), "{away:?}");
-    assert!(away[30..44].iter().any(|&away| away > 0.05), "{away:?}");
-    // Some frames after the edit, the body has its original shape again, wherever the edit ended.
-    let arm = |points: &KeypointFrame| points[20].distance(points[21]);
-    for (frame, points) in edited[0].iter().enumerate().skip(50) {
-        let (found, was) = (arm(points), arm(&original.points[2 * frame]));
-        assert!((found - was).abs() < 1e-5, "{frame}: {found} {was}");
-    }
-}
-
-/// Natural windows, whose two halves swing together, and composed windows, whose halves come from two natural ones.
-struct Swings {
-    first: u64,
-}
-
-impl Swings {
-    fn window(item: u64) -> Vec<f32> {
-        let is_composed = item % 2 == 1;
-        let phase = |part: u64| (item * 7 + part * 3) as f32 * 0.9;
-        (0..WINDOW_NUMBERS)
-            .map(|index| {
-                let (frame, channel) = (index / FRAME_WIDTH, index % FRAME_WIDTH);
-                let part = u64::from(is_composed && channel >= FRAME_WIDTH / 2);
-                0.5 * (0.5 * frame as f32 + phase(part)).sin()
-            })
-            .collect()
-    }
-}
-
-impl WindowSource<CoordinatorBatch> for Swings {
-    fn epoch_len(&self) -> u64 {
-        512
-    }
-
-    fn window_len(&self) -> usize {
-        WINDOW_NUMBERS
-    }
-
-    fn fill(
-        &self,
-        _epoch: u64,
-        first: u64,
-        num_items: usize,
-        batch: &mut CoordinatorBatch,
-    ) -> Result<(), train::Error> {
-        let first = self.first + first;
-        let items = first..first + num_items as u64;
-        batch.windows = items.clone().flat_map(Self::window).collect();
-        batch.composed = items.map(|item| (item % 2) as f32).collect();
-        Ok(())
-    }
-}
-
-#[test]
-fn the_coordinator_learns_what_was_composed() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut config = CoordinatorConfig::preset(Preset::Tiny);
-    config.model = small_config(1).model;
-    config.run.optimizer.learning_rate = 3e-3;
-    config.run.batch_size = 32;
-    config.run.micro_batch_size = Some(20);
-    config.run.length = RunLength::of_steps(150);
-    (config.run.val_every, config.val_windows) = (50, 64);
-    let report = quietly(|session| {
-        let segments = Segments {
-            train: &Swings { first: 0 },
-            val: &Swings { first: 2_000 },
-            normalizer: METRES,
-            skeleton: &SKELETON,
-            dataset_hash: "0",
-            compose: &COMPOSE,
-        };
-        train_coordinator(dir.path(), &config, segments, session)
-    })
-    .expect("trains");
-    // An untrained coordinator is at chance: the loss is ln 2.
-    assert!((report.first_loss.expect("a line") - 0.69).abs() < 0.2);
-    assert!(report.best_val_loss.expect("validated") < 0.2);
-    let judge = TrainedCoordinator::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    let windows: Vec<f32> = (1000..1064).flat_map(Swings::window).collect();
-    let wrong = judge
-        .probabilities(&windows)
-        .iter()
-        .enumerate()
-        .filter(|&(item, &p)| (p > 0.5) != (item % 2 == 1))
-        .count();
-    assert!(wrong < 8, "{wrong} of 64");
-
-    // The coordinator does not guide an editor with another normaliser.
-    let editor_dir = tempfile::tempdir().expect("a folder");
-    train(editor_dir.path(), &small_config(10), &waves(20));
-    let editor = Editor::load(editor_dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    refused(editor.with_coordinator(judge), "does not fit");
-}
-
-/// Joints and their rotation vectors in radians.
-const ARMS_UP: [(usize, DVec3); 2] = [
-    (16, DVec3::new(0.0, 0.0, 1.2)),
-    (17, DVec3::new(0.0, 0.0, -1.2)),
-];
-const SITTING: [(usize, DVec3); 4] = [
-    (1, DVec3::new(-1.4, 0.0, 0.0)),
-    (2, DVec3::new(-1.4, 0.0, 0.0)),
-    (4, DVec3::new(1.4, 0.0, 0.0)),
-    (5, DVec3::new(1.4, 0.0, 0.0)),
-];
-
-#[test]
-fn the_encoder_learns_to_tell_motions_apart() {
-    let kinds: [(&str, &[(usize, DVec3)]); 3] = [
-        ("walk", &[]),
-        ("raise both arms", &ARMS_UP),
-        ("sit down", &SITTING),
-    ];
-    // Held-out walks have other lengths, speeds and phases.
-    let motions = |offset: f64| -> Vec<CaptionedClip> {
-        (0..18)
-            .map(|index| {
-                let (text, turns) = kinds[index % kinds.len()];
-                let place = index as f64 + offset;
-                let mut motion = walk(50 + (2.0 * place) as usize, 0.1 * place, place);
-                for frame in 0..motion.len() {
-                    for (joint, turn) in turns {
-                        motion.set_axis_angle(frame, *joint, turn.as_vec3().to_array());
-                    }
-                }
-                captioned(index, motion, text)
-            })
-            .collect()
-    };
-    let [train, held_out] = [motions(0.0), motions(0.5)];
-    for recipe in [FeatureRecipe::Smpl135, FeatureRecipe::HumanMl3d] {
-        check_encoder(&train, &held_out, &kinds.map(|(text, _)| text), recipe);
-    }
-}
-
-fn captioned(index: usize, motion: Motion, caption: &str) -> CaptionedClip {
-    CaptionedClip {
-        id: index.to_string(),
-        motion,
-        captions: vec![caption.to_owned()],
-    }
-}
-
-/// Trains an encoder on 18 motions with three texts in turn, and checks that it retrieves the texts of 18 other
-/// motions.
-fn check_encoder(
-    train: &[CaptionedClip],
-    held_out: &[CaptionedClip],
-    kinds: &[&str; 3],
-    recipe: FeatureRecipe,
-) {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut config = TmrConfig::preset(Preset::Tiny);
-    config.features = recipe;
-    config.max_frames = 24;
-    config.run.batch_size = 18;
-    config.run.length = RunLength::of_steps(150);
-    config.run.val_every = 150;
-    let corpus = CaptionedCorpus {
-        train,
-        val: held_out,
-        vectors: None,
-        skeleton: &SKELETON,
-        dataset_hash: "0",
-    };
-    let report = quietly(|session| train_tmr(dir.path(), &config, corpus, session));
-    let report = report.expect("trains");
-    let [first, last] = [report.first_loss, report.last_loss].map(|loss| loss.expect("a line"));
-    assert!(last < 0.7 * first, "{recipe:?}: {first} fell to {last}");
-
-    let encoder = TmrEncoder::load(dir.path(), Slot::Last, &Device::flex()).expect("loads");
-    let refs: Vec<&Motion> = held_out.iter().map(|clip| &clip.motion).collect();
-    let codes = encoder.encode(&refs).expect("encodes");
-    let texts = encoder.encode_texts(kinds).expect("trained here");
-    let cosine = |a: &[f32], b: &[f32]| {
-        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
-        dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()
-    };
-    let right = codes
-        .iter()
-        .enumerate()
-        .filter(|(index, code)| {
-            let best = (0..kinds.len())
-                .max_by(|&a, &b| cosine(code, &texts[a]).total_cmp(&cosine(code, &texts[b])));
-            best == Some(index % kinds.len())
-        })
-        .count();
-    // Guessing retrieves 6 of 18.
-    assert!(right >= 15, "{recipe:?}: {right} of 18");
-    // Padding to a longer motion of the batch must not matter, up to f32 rounding.
-    let alone = encoder.encode(&refs[..1]).expect("encodes");
-    for (a, b) in alone[0].iter().zip(&codes[0]) {
-        assert!((a - b).abs() < 1e-4, "{a} {b}");
-    }
-    assert_eq!(encoder.hash().len(), 64);
 }

@@ -4,7 +4,7 @@ use annotate::store::{MotionRecord, NewTask};
 use annotate::wire::{Audit, CapturePlan, Captures, Code, Decision, Me, PlannedCapture, TaskKind};
 use serde_json::json;
 
-use crate::store::each;
+use crate::fixture::each;
 use crate::support::{
     Answered, Client, ROOT, START, Site, bare_motion, bare_task, from_json, style,
 };

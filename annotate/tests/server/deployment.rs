@@ -368,7 +368,7 @@ impl Pair {
     fn new(test: &str) -> Option<Self> {
         use crate::support::{Hands, START, dataset, plain_settings};
         let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
-            crate::store::skipped(test);
+            crate::fixture::skipped(test);
             return None;
         };
         let schema = format!("d{}_{test}", std::process::id());
@@ -455,7 +455,7 @@ fn two_servers_share_the_clock_of_the_database_and_its_exports() {
 fn a_store_on_postgresql_is_only_created_on_purpose() {
     use annotate::store::open_postgres;
     let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
-        crate::store::skipped("existing");
+        crate::fixture::skipped("existing");
         return;
     };
     let schema = format!("d{}_existing", std::process::id());
@@ -483,7 +483,7 @@ fn a_connection_to_postgresql_is_encrypted_and_its_certificate_checked() {
     use annotate::store::open_postgres;
     let addresses = ["ANNOTATE_TEST_PG_TLS", "ANNOTATE_TEST_PG_CA"].map(std::env::var);
     let [Ok(url), Ok(authority)] = addresses else {
-        crate::store::skipped("tls");
+        crate::fixture::skipped("tls");
         return;
     };
     // This server accepts only encrypted connections.

@@ -21,7 +21,7 @@ use datasets_spec::Seed;
 use rand::RngExt;
 use serde_json::{Value, json};
 
-use crate::store::on_each;
+use crate::fixture::on_each;
 use crate::support::{
     CLIPS, DAY, HOUR, MINUTE, START, Site, bare_motion, bare_task, claim, dataset, decision,
     event_of, from_json, masks, pair, review, rule, tell, whole,

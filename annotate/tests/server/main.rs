@@ -6,6 +6,7 @@ mod bundle;
 mod captures;
 mod deployment;
 mod figures;
+mod fixture;
 mod hostile;
 mod load;
 mod model;

@@ -7,7 +7,7 @@ use annotate::transfer::from_dataset;
 use annotate::wire::{Answer, Code, EditType, EditTypeCount, Settings, TaskKind, Verdict};
 use datasets_spec::record::{EDIT_TYPES, PairRow};
 
-use crate::store::{Fixture, each, pair_tasks};
+use crate::fixture::{Fixture, each, pair_tasks};
 use crate::support::{ROOT, START, Site, commit, kept, pair, plain_settings, read, set};
 
 fn quotas(store: &Store, quotas: &[(EditType, u32)]) {

@@ -20,7 +20,7 @@ use datasets_spec::Seed;
 use rand::RngExt;
 use serde_json::{Value, json};
 
-use crate::store::on_each;
+use crate::fixture::on_each;
 use crate::support::{
     DAY, HOUR, MINUTE, START, all_keys, bare_motion, bare_task, claim, decision, event, from_json,
     join, kept, masks, pair, peak_memory_mb, plain_settings, review, rule, say, set, sizes, tell,

@@ -113,7 +113,7 @@ fn a_store_of_each_older_version_is_upgraded_after_a_copy() {
 #[test]
 fn a_store_on_postgresql_is_upgraded_after_a_copy() {
     let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
-        crate::store::skipped("a_store_on_postgresql_is_upgraded_after_a_copy");
+        crate::fixture::skipped("a_store_on_postgresql_is_upgraded_after_a_copy");
         return;
     };
     for version in VERSIONS {
