@@ -100,29 +100,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let (Some(dataset), Some(out)) = (&args.dataset, &args.out) else {
         anyhow::bail!("name the dataset and where to write: stance items DATASET --out ITEMS");
     };
-    let mut set = match args.set.as_deref() {
-        Some(BUILTIN) => TestSet::builtin(),
-        Some(file) => TestSet::read(file.as_ref())?,
-        None => TestSet {
-            split: args.split,
-            seed: global.seed(),
-            condition: args.chosen.text(),
-            content: None,
-            items: ItemConfig {
-                count: args.count,
-                tasks: args.task.clone(),
-                novelty: args.novelty.clone(),
-                compose: args.compose.config()?,
-                ..ItemConfig::default()
-            },
-        },
-    };
-    if global.seed_or(Some(set.seed.0)) != set.seed {
-        anyhow::bail!(
-            "the set is drawn with seed {}; leave --seed out",
-            set.seed.0
-        );
-    }
+    let mut set = set_of(args, global)?;
     let before = Dataset::open_unverified(out).ok();
     let mut drawn = set.draw(dataset, out, global);
     if args.set.as_deref() == Some(BUILTIN) {
@@ -177,6 +155,34 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             in_words(&novelty)
         ),
     )
+}
+
+/// The set that the options name or describe.
+fn set_of(args: &Args, global: &Global) -> anyhow::Result<TestSet> {
+    let set = match args.set.as_deref() {
+        Some(BUILTIN) => TestSet::builtin(),
+        Some(file) => TestSet::read(file.as_ref())?,
+        None => TestSet {
+            split: args.split,
+            seed: global.seed(),
+            condition: args.chosen.text(),
+            content: None,
+            items: ItemConfig {
+                count: args.count,
+                tasks: args.task.clone(),
+                novelty: args.novelty.clone(),
+                compose: args.compose.config()?,
+                ..ItemConfig::default()
+            },
+        },
+    };
+    if global.seed_or(Some(set.seed.0)) != set.seed {
+        anyhow::bail!(
+            "the set is drawn with seed {}; leave --seed out",
+            set.seed.0
+        );
+    }
+    Ok(set)
 }
 
 fn in_words(counts: &BTreeMap<&str, usize>) -> String {
