@@ -1,8 +1,9 @@
 //! Files of settings: TOML in, values out.
 
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use pipeline::ingest::SourceArg;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -13,6 +14,21 @@ use crate::local;
 
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
     parse(&local::read_text(path)?, path)
+}
+
+/// Makes the sources and paths of a file of settings relative to the file.
+pub(crate) fn place_beside<'a>(
+    file: &Path,
+    sources: &mut [SourceArg],
+    paths: impl IntoIterator<Item = &'a mut PathBuf>,
+) {
+    let base = file.parent().unwrap_or(Path::new("."));
+    for source in sources {
+        *source = source.clone().below(base);
+    }
+    for path in paths {
+        *path = base.join(&*path);
+    }
 }
 
 /// Parses the text of a TOML file. An error begins with file, line and column.

@@ -1,7 +1,7 @@
 //! `stance build`
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use compose::ComposeConfig;
@@ -170,15 +170,10 @@ fn exported(
 
 fn read(args: &Args) -> anyhow::Result<BuildConfig> {
     let mut config: BuildConfig = settings::read(&args.config)?;
-    let base = args.config.parent().unwrap_or(Path::new("."));
-    let sources = config.sources.into_iter();
-    config.sources = sources.map(|source| source.below(base)).collect();
-    for path in [&mut config.out]
-        .into_iter()
-        .chain(&mut config.ingest.pairs)
-    {
-        *path = base.join(&*path);
-    }
+    let paths = std::iter::once(&mut config.out).chain(&mut config.ingest.pairs);
+    settings::place_beside(&args.config, &mut config.sources, paths);
+    let checked = config.compose.check();
+    checked.map_err(|error| settings::at(&args.config, error.into()))?;
     if !args.sources.is_empty() {
         config.sources.clone_from(&args.sources);
     }

@@ -261,7 +261,6 @@ fn print_profile(args: &Args, times: Option<&EditTimes>, global: &Global) {
     }
 }
 
-/// The instructions as layers: each layer edits the result of the one before.
 /// Parses an instruction for all frames.
 fn instruction(text: &str) -> Result<String, String> {
     match text.trim().is_empty() {
@@ -270,6 +269,7 @@ fn instruction(text: &str) -> Result<String, String> {
     }
 }
 
+/// The instructions as layers: each layer edits the result of the one before.
 fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     if !args.during.is_empty() {
         return vec![args.during.clone()];

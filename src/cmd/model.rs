@@ -352,8 +352,13 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
         Model::Motionrefit | Model::Coordinator => {}
     }
     let stated = Exported::beside(&args.file)?;
-    if stated.is_some() && args.preset.is_some() {
-        bail!("the settings.json beside the file states its settings; leave --preset out");
+    for (option, is_given) in [
+        ("--preset", args.preset.is_some()),
+        ("--text-encoder", args.text_encoder.is_some()),
+    ] {
+        if stated.is_some() && is_given {
+            bail!("the settings.json beside the file states its settings; leave {option} out");
+        }
     }
     let normalizer = match (&args.range, &stated) {
         (Some(file), _) => range(file)?,

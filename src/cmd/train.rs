@@ -11,6 +11,7 @@ use train::config::{Preset, RunLength, TrainConfig, overlay};
 use train::features::FeatureRecipe;
 use train::kind::{Input, ModelKind, TrainRequest};
 use train::registry::{self, MODELS};
+use train::stage::editor::settings_replaced_by;
 
 use crate::chosen::ChosenArgs;
 use crate::cmd::model::FEATURES;
@@ -21,7 +22,7 @@ use crate::exit::Exit;
 use crate::global::{Global, PRESETS, one_of};
 use crate::session::text_encoder;
 use crate::stages::{ENCODER, trained};
-use crate::{local, settings};
+use crate::{local, report, settings};
 
 /// Train a model on a dataset, continue its run, or plot its losses.
 ///
@@ -154,6 +155,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         (None, None) => None,
     };
     let dataset = &args.chosen.open(dataset)?;
+    let compose = args.compose.over(&TrainConfig::compose_preset(preset))?;
+    if let Some(windows) = &args.windows {
+        let replaced = settings_replaced_by(windows, &compose)?;
+        if !replaced.is_empty() {
+            report::note(&format!(
+                "note: the windows in {} were composed otherwise than preset {} does: {}; the run records their settings",
+                windows.display(),
+                preset,
+                replaced.join(", ")
+            ));
+        }
+    }
     let request = TrainRequest {
         dataset,
         start: Start {
@@ -163,7 +176,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         },
         preset,
         own: &own,
-        compose: &args.compose.over(&TrainConfig::compose_preset(preset))?,
+        compose: &compose,
         windows: args.windows.as_deref(),
         text_encoder: &text_encoder(args.text_encoder.as_deref()),
         seed: global.seed,

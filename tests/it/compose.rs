@@ -112,7 +112,12 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     folder.run("verify @windows");
     folder.put("train.toml", "batch_size = 16\n");
     let train = "train motionrefit @dataset --steps 3 --config @train.toml";
-    folder.run(&format!("{train} --out @run --windows @windows"));
+    let said = folder.run(&format!("{train} --out @run --windows @windows"));
+    assert!(
+        !said.stderr.contains("composed otherwise"),
+        "{}",
+        said.stderr
+    );
 
     // Windows recorded with another normaliser are refused.
     record("other", "--where 'n_frames > 130'");
@@ -123,7 +128,8 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     folder.put("once.toml", "fixed_pairs = true\nrange = \"scalar\"\n");
     record("once", "--compose @once.toml --seed 4");
     let once = format!("{train} --windows @once --seed 9");
-    folder.run(&format!("{once} --out @once-run"));
+    let said = folder.run(&format!("{once} --out @once-run"));
+    said.expect_said("fixed_pairs true instead of false, range \"scalar\" instead of \"per-axis\"");
     let config = &json_of::<Value>(folder.path("once-run/config.json"))["config"];
     assert_eq!(config["train"]["seed"], 9);
     let compose = &config["compose"];
@@ -174,6 +180,9 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     let ran = folder.run(&format!("--json {windows}"));
     ran.expect_said(&said);
     assert_eq!(ran.json::<Value>()["too_short"], short);
+    folder.put("few.toml", "triplets = 4\n");
+    let nearest = "train nearest @dataset --config @few.toml --compose @long.toml --out @nearest";
+    assert_eq!(folder.json::<Value>(nearest)["left_out"], short);
     folder.put("train.toml", "batch_size = 16\nwindow = 60\n");
     let done: Value = folder.json(&format!("{train} --out @long"));
     assert_eq!(done["left_out"], short, "{done}");

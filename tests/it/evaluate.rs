@@ -317,6 +317,11 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     bench.trained("mdm", "mdm", crate::mdm::SMALL, "--steps 3");
     refused(&format!("edit @mdm {asked}"));
     assert!(!bench.path("answers").exists());
+    // An MDM that was trained elsewhere, on features into which any body is brought, is of no body.
+    let mut elsewhere = bench.record("mdm");
+    elsewhere["dataset_hash"] = "imported".into();
+    bench.put("mdm/config.json", elsewhere.to_string());
+    bench.run("edit @mdm --items @tall-items --out @elsewhere");
     refused("eval encoder @tall --encoder builtin");
     refused("eval encoder @tall --encoder @encoder");
     bench.run(&own);

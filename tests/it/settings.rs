@@ -54,7 +54,14 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_f
         let problem = format!("unknown field `{field}`");
         refused(line, &format!("{base}{more}"), place, &problem);
     }
+    // Values out of range are found before anything is made.
+    let mixed = format!("{run}[compose]\nmcm_ratio = 2.0\n");
+    let problem = "setting mcm_ratio must be above 0";
+    refused("build --config @own.toml", &mixed, "4:1", problem);
     let line = "run --config @own.toml";
+    refused(line, &mixed, "4:1", problem);
+    let wide = format!("{run}[train.model]\nwidth = 98\n");
+    refused(line, &wide, "4:1", "setting model.width is not usable");
     refused(line, "sources = 3\n", "1:11", "invalid type: integer `3`");
     assert!(!workshop.path("none").exists() && !workshop.path("made").exists());
 

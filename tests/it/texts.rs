@@ -3,13 +3,15 @@
 use std::fs;
 use std::path::Path;
 
+use datasets_spec::Split;
+use datasets_spec::record::{ItemRow, MaskRow};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::{Value, json};
 
 use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
-use crate::util::{Ran, put};
+use crate::util::{Ran, commit, put};
 
 const WIDTH: usize = 26;
 
@@ -58,6 +60,24 @@ impl<'a> TextTable<'a> {
         self.workshop.put("vectors.npy", vectors);
         let line = "model table @texts.json @vectors.npy --encoder letters";
         self.workshop.typed(&format!("{line} --out @{name}"))
+    }
+}
+
+#[test]
+fn the_list_has_the_texts_of_all_items_even_if_the_training_split_has_no_masks() {
+    let workshop = Workshop::open();
+    let mut masks: Vec<MaskRow> = workshop.rows("dataset");
+    masks.retain(|row| row.split == Split::Test);
+    commit(
+        &workshop.path("dataset"),
+        &masks,
+        |row| row.split,
+        "only test",
+    );
+    workshop.run("items @dataset --split test --count all --out @items");
+    let texts = TextTable::of(&workshop).texts;
+    for item in workshop.rows::<ItemRow>("items") {
+        assert!(texts.contains(&item.instruction), "{}", item.instruction);
     }
 }
 
@@ -232,4 +252,9 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let untold = format!("{edit} @never");
     workshop.refused(&untold, "--text-encoder");
     workshop.run(&format!("{edit} @spun {told}"));
+    // One that does not exist is not passed over because the run has the vectors already.
+    workshop.run("items @dataset --split val --count 1 --out @items");
+    let items = "edit @motionrefit --items @items --out @edits --text-encoder";
+    workshop.refused(&format!("{items} @nowhere"), "nowhere");
+    workshop.run(&format!("{items} @encoder"));
 }

@@ -58,6 +58,11 @@ fn refuse_what_makes_none(workshop: &Workshop) {
         let line = format!("variants @dataset --generator @mld --out @none --instructions {more}");
         workshop.typed(&line).expect_refused(said);
     }
+    // A folder in which no dataset can be written is refused before anything is generated.
+    workshop.put("damaged/meta/manifest-1.json", "{");
+    let line = "variants @dataset --generator @mld --instructions captions --out @damaged";
+    let said = workshop.refused(line, "manifest-1.json").stderr;
+    assert!(!said.contains("candidate pairs"), "{said}");
     // Without a generator nothing is sampled.
     let ran = workshop.typed("variants @dataset --variants 8 --out @none");
     ran.expect_code(2).expect_said("--generator");

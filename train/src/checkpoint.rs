@@ -15,6 +15,7 @@
 
 mod events;
 mod record;
+mod slot;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -37,55 +38,20 @@ pub use self::record::{
     Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, SkeletonId, check_skeleton,
     check_skeleton_of, read_any,
 };
-pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
-use self::record::{differences, parse_record, text_of, to_value};
+pub(crate) use self::record::{
+    IMPORTED, MDM_KIND, MOTION_KIND, differences, read_kind, read_record, record_of,
+};
+use self::record::{parse_record, text_of, to_value};
+pub use self::slot::Slot;
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
+/// File of the last checkpoint, outside its manifest: the hash of the manifest of the best checkpoint beside it.
+const BEST_BESIDE: &str = "best.blake3";
 /// Prefix of the files with averaged weights in a checkpoint; the rest of the file's name is that of the file with the
 /// plain weights.
 pub(crate) const EMA_PREFIX: &str = "ema-";
 pub(crate) const STATE: &str = "state.json";
-
-/// A checkpoint of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Slot {
-    /// The newest checkpoint.
-    Last,
-    /// The checkpoint with the lowest validation loss.
-    Best,
-    /// The checkpoint kept after this epoch.
-    Epoch(u64),
-}
-
-impl Slot {
-    /// Name of the checkpoint's folder.
-    pub fn name(self) -> String {
-        match self {
-            Self::Last => "last".to_owned(),
-            Self::Best => "best".to_owned(),
-            Self::Epoch(epoch) => format!("epoch-{epoch}"),
-        }
-    }
-}
-
-impl std::str::FromStr for Slot {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        match name {
-            "last" => Ok(Self::Last),
-            "best" => Ok(Self::Best),
-            _ => name
-                .strip_prefix("epoch-")
-                .and_then(|epoch| epoch.parse().ok())
-                .map(Self::Epoch)
-                .ok_or_else(|| {
-                    format!("{name:?} is no checkpoint; known are best, last and epoch-N")
-                }),
-        }
-    }
-}
 
 /// Files of a checkpoint by name.
 pub type Files = BTreeMap<String, Vec<u8>>;
@@ -322,6 +288,10 @@ impl Run {
         let path = new.join(MANIFEST);
         let text = serde_json::to_vec_pretty(&manifest).map_err(json_error(&path))?;
         write_synced(&path, &text)?;
+        if slot == Slot::Last {
+            let best = manifest_hash(&self.dir, Slot::Best)?;
+            write_synced(&new.join(BEST_BESIDE), best.as_bytes())?;
+        }
         sync_dir(&new)?;
         // A folder cannot be renamed onto a non-empty one. Between the two renames the old checkpoint exists under its
         // other name, where `read` looks for it.
@@ -403,6 +373,7 @@ fn changes<C: Serialize + DeserializeOwned>(
     if differences.is_empty() {
         return Ok(None);
     }
+    check_best(dir)?;
     let files = read(dir, Slot::Last)?.unwrap_or_default();
     let mut lineage = recorded.lineage.clone();
     lineage.push(Ancestor {
@@ -412,6 +383,34 @@ fn changes<C: Serialize + DeserializeOwned>(
         changed: differences,
     });
     Ok(Some((asked, lineage)))
+}
+
+/// Checks before settings change that the best checkpoint is not newer than the last one, as a run that was killed
+/// between the two leaves it: nothing would make it again, and it would pass for one of the new settings.
+fn check_best(dir: &Path) -> Result<(), Error> {
+    let beside = match place_of(dir, Slot::Last) {
+        Some(last) => text_of(&last.join(BEST_BESIDE))?,
+        None => Some(String::new()),
+    };
+    // Earlier versions did not record it.
+    match beside {
+        Some(known) if known != manifest_hash(dir, Slot::Best)? => Err(Error::Refused(format!(
+            "{} was ended between two checkpoints, so its best one is newer than the last, from which --extend goes \
+             on; continue it without --extend up to its next validation, which makes both again",
+            dir.display()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Hash of the manifest of a checkpoint; empty if there is none.
+fn manifest_hash(dir: &Path, slot: Slot) -> Result<String, Error> {
+    let Some(place) = place_of(dir, slot) else {
+        return Ok(String::new());
+    };
+    let path = place.join(MANIFEST);
+    let manifest = fs::read(&path).map_err(Error::io("read", &path))?;
+    Ok(blake3::hash(&manifest).to_hex().to_string())
 }
 
 fn append(path: &Path, bytes: &[u8]) -> Result<(), Error> {

@@ -85,7 +85,7 @@ pub enum Error {
     },
     /// A loss became NaN or infinite.
     #[error(
-        "the {what} loss is not finite at step {step}; {}",
+        "the {what} loss is not finite after {step} steps; {}",
         match kept {
             0 => "nothing was kept: train into another folder with a lower optimizer.learning_rate \
                   or a shorter optimizer.max_gradient_norm, and look for numbers in the data that \
@@ -99,7 +99,7 @@ pub enum Error {
     Diverged {
         /// Name of the loss.
         what: &'static str,
-        /// Step whose loss is not finite.
+        /// Number of steps made before this loss, as log lines and checkpoints count them.
         step: u64,
         /// Step of the newest checkpoint; 0 if there is none.
         kept: u64,

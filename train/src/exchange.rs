@@ -15,7 +15,7 @@ use work::NewFolder;
 
 use crate::Error;
 use crate::checkpoint::{
-    self, Files, Run, RunRecord, SkeletonId, Slot, open_for_use, take, write_atomically,
+    self, Files, IMPORTED, Run, RunRecord, SkeletonId, Slot, open_for_use, take, write_atomically,
 };
 use crate::config::{BertVectors, NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
@@ -152,7 +152,7 @@ pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
     network: &impl Networks,
 ) -> Result<(), Error> {
     let files = network.to_files(run_dir)?;
-    let record = RunRecord::new(kind, "imported", skeleton, record);
+    let record = RunRecord::new(kind, IMPORTED, skeleton, record);
     write_weights(&Run::open(run_dir, &record)?, &files)
 }
 
@@ -246,7 +246,7 @@ pub fn import_motion_encoder(
     };
     // The features do not depend on the skeleton.
     let skeleton = Skeleton::smplx_neutral();
-    let record = RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record);
+    let record = RunRecord::new(checkpoint::MOTION_KIND, IMPORTED, &skeleton, record);
     let run = Run::open(run_dir, &record)?;
     let copy = run_dir.join(tmr::TEXT_FOLDER);
     if let Some(folder) = folder.filter(|_| !copy.exists()) {
@@ -437,8 +437,8 @@ pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
 /// files.
 ///
 /// # Errors
-/// The folder is not a run of the editor or the coordinator, its checkpoint is damaged, its network has layers that the
-/// released network lacks, `out` holds files, or a file cannot be written.
+/// The folder is not a run of the editor or the coordinator, its checkpoint is damaged, it has learned words or layers
+/// that the released network lacks, `out` holds files, or a file cannot be written.
 pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let kind = checkpoint::read_kind(run_dir)?;
     let mut foreign = Vec::new();
@@ -454,6 +454,9 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
         let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
         let skeleton = opened.record.skeleton_id();
         let record = opened.record.config;
+        if matches!(record.text, fit::TextRecord::Learned(_)) {
+            foreign.push(("learned words", "text.encoder = \"clip\""));
+        }
         if record.train.diffusion.tell_frames {
             foreign.push(("tell_frames", "tell_frames = false"));
         }

@@ -25,7 +25,7 @@ use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
 
-pub(crate) const KIND: &str = "mdm";
+pub(crate) use crate::checkpoint::MDM_KIND as KIND;
 
 pub(crate) const CLIP: ClipModel = ClipModel::VitB32;
 

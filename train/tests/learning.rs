@@ -377,11 +377,12 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     let mut plain = change_config(1);
     plain.diffusion.tell_frames = true;
     train(alone.path(), &plain, &waves(16));
-    // The released network has neither gates nor `tell_frames`. All that a model has beyond it is named at once.
+    // The released network has neither learned words nor gates nor `tell_frames`. All that a model has beyond it is named
+    // at once.
     for (run, why) in [
-        (&dir, "it has gate,"),
-        (&alone, "it has tell_frames,"),
-        (&told, "it has tell_frames and gate,"),
+        (&dir, "it has learned words and gate,"),
+        (&alone, "it has learned words and tell_frames,"),
+        (&told, "it has learned words and tell_frames and gate,"),
     ] {
         let out = tempfile::tempdir().expect("a folder");
         refused(export(run.path(), Slot::Best, out.path()), why);

@@ -372,13 +372,13 @@ enum Attempt {
     Exhausted,
 }
 
-/// The source of an item, and the state of its other draws.
+/// The partner of an item, and the state of its other draws.
 #[derive(Clone)]
 struct Draws {
     /// Names the draws of the item.
     id: String,
-    /// Index of the clip that is edited.
-    source: usize,
+    /// Index of the clip that a mask edits, or that a pair is blended with; `None` for a pair that takes none.
+    partner: Option<usize>,
     /// Generator of the other draws.
     rng: Rng,
 }
@@ -458,8 +458,8 @@ impl Drawer<'_> {
         if library.is_asked_as_is(subject) && (round > 0 || attempt > 0) {
             return Ok(Attempt::Exhausted);
         }
-        let draws = self.source(subject, round, attempt)?;
-        let novelty = self.novelty(subject, &library.clip(draws.source).id);
+        let draws = self.draws(subject, round, attempt)?;
+        let novelty = self.novelty(subject, draws.partner);
         if !wanted.is_wanted(novelty) {
             return Ok(Attempt::Unwanted);
         }
@@ -472,38 +472,47 @@ impl Drawer<'_> {
         }))
     }
 
-    /// Novelty of an item of this subject. `source` is the clip that the edit of a mask is applied to.
-    fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
+    /// Novelty of an item of this subject. `partner` is the clip that the edit of a mask is applied to.
+    fn novelty(&self, subject: Subject, partner: Option<usize>) -> Option<Novelty> {
         let library = &self.library;
         let [before, after] = library
             .captured_of(subject)
             .map(|clip| &library.clip(clip).id);
         let (source, pair) = match subject {
-            Subject::Annotation(_) => (source, None),
+            Subject::Annotation(_) => {
+                let source = partner.expect("a semantic edit has a source");
+                (&library.clip(source).id, None)
+            }
             Subject::Pair(_) => (before, Some(library.edit(subject).kind)),
         };
         let text = &library.edit(subject).instruction;
         self.shown.novelty([source, after], text, pair)
     }
 
-    /// Draws the source of an item.
-    fn source(&self, subject: Subject, round: usize, attempt: usize) -> Result<Draws, Error> {
+    /// Draws the partner of an item.
+    fn draws(&self, subject: Subject, round: usize, attempt: usize) -> Result<Draws, Error> {
         let library = &self.library;
         let round = round.to_string();
         let attempt = (attempt > 0).then(|| attempt.to_string());
         let mut parts = vec!["evaluation item", &library.edit(subject).id, &round];
         parts.extend(attempt.as_deref());
         let mut rng = self.seed.rng(&parts);
-        let source = match library.is_asked_as_is(subject) {
-            true => library.captured_of(subject)[0],
-            false => {
-                let partners = library.partners(&self.base, subject, self.preferred)?;
-                partners[rng.random_range(0..partners.len())]
+        let partners = match library.is_asked_as_is(subject) {
+            true => None,
+            false => Some(library.partners(&self.base, subject, self.preferred)),
+        };
+        let partner = match partners {
+            Some(partners) if !partners.is_empty() => {
+                Some(partners[rng.random_range(0..partners.len())])
             }
+            Some(_) if library.takes_partner(subject, &self.config) => {
+                return Err(library.no_partner(subject));
+            }
+            _ => None,
         };
         Ok(Draws {
             id: parts.join("/"),
-            source,
+            partner,
             rng,
         })
     }
@@ -526,7 +535,7 @@ impl Drawer<'_> {
 
     fn composed(&self, subject: Subject, mut draws: Draws) -> Result<ItemRow, Error> {
         let (library, config) = (&self.library, &self.config);
-        let pairing = library.paired(draws.source, subject, config, &mut draws.rng);
+        let pairing = library.paired(draws.partner, subject, config, &mut draws.rng);
         let triplet = library.compose(
             Place {
                 id: draws.id,

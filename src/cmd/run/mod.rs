@@ -3,7 +3,7 @@
 mod page;
 mod plan;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use compose::{ComposeConfig, EditKind};
@@ -48,15 +48,9 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     args.trainings.device.choose()?;
     let mut config: RunConfig = settings::read(&args.config)?;
-    let base = args.config.parent().unwrap_or(Path::new("."));
-    let sources = config.sources.into_iter();
-    config.sources = sources.map(|source| source.below(base)).collect();
-    let files = [&mut config.out]
-        .into_iter()
-        .chain(&mut config.ingest.pairs);
-    for path in files.chain(&mut config.text_encoder) {
-        *path = base.join(&*path);
-    }
+    let paths = std::iter::once(&mut config.out).chain(&mut config.ingest.pairs);
+    let paths = paths.chain(&mut config.text_encoder);
+    settings::place_beside(&args.config, &mut config.sources, paths);
     if config.sources.is_empty() {
         bail!("{} names no sources", args.config.display());
     }

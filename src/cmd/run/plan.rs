@@ -160,6 +160,10 @@ impl Plan {
         let poses = Model::over(&J2sConfig::of(preset), "poses", own, seeds, global)?;
         let compose = &TrainConfig::compose_preset(preset);
         let compose = settings::over(compose, "compose", &config.compose)?;
+        // Found now, and not after hours of reading motions.
+        editor.check()?;
+        compose.check()?;
+        config.items.compose.check()?;
         config.edit.check()?;
         if let Some(editor) = registry::model("motionrefit") {
             editor.check_edit_inputs(config.edit.given())?;

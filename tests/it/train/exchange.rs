@@ -83,6 +83,8 @@ fn networks_go_out_under_the_released_names_and_come_back() {
         assert_eq!(of("back"), of("guide"), "{part}");
     }
     import("out/coordinator.safetensors --preset tiny").expect_refused("leave --preset out");
+    let other = format!("{other} --text-encoder @nowhere");
+    workshop.refused(&other, "leave --text-encoder out");
     // A network of another skeleton stays one.
     copy_all(&workshop.path("out"), &workshop.path("ours"));
     let mut stated: Value = json_of(workshop.path("ours/settings.json"));

@@ -26,6 +26,12 @@ pub const CONFIG: &str = "config.json";
 /// Kind of a run folder with a motion encoder trained elsewhere, whose features do not depend on the skeleton.
 pub(crate) const MOTION_KIND: &str = "tmr-motion";
 
+/// Kind of the runs of MDM, whose features do not depend on the skeleton either.
+pub(crate) const MDM_KIND: &str = "mdm";
+
+/// [`RunRecord::dataset_hash`] of weights that were trained elsewhere, on unknown motions.
+pub(crate) const IMPORTED: &str = "imported";
+
 /// The document `config.json`: everything that a run depends on. `C` is the configuration type of the model's kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -162,6 +168,8 @@ struct Header {
     format: u32,
     kind: String,
     #[serde(default)]
+    dataset_hash: String,
+    #[serde(default)]
     skeleton: String,
     skeleton_hash: Option<String>,
 }
@@ -169,6 +177,11 @@ struct Header {
 impl Header {
     fn of(text: &str, run_dir: &Path) -> Result<Self, Error> {
         serde_json::from_str(text).map_err(json_error(&run_dir.join(CONFIG)))
+    }
+
+    /// Whether the model was trained elsewhere on features of one body, into which motions of any body are brought.
+    fn takes_any_body(&self) -> bool {
+        self.kind == MOTION_KIND || (self.kind == MDM_KIND && self.dataset_hash == IMPORTED)
     }
 }
 
@@ -184,7 +197,7 @@ pub fn check_skeleton_of(
     skeleton: &Skeleton,
 ) -> Result<(), Error> {
     let trained = Header::of(text, run_dir)?;
-    if trained.kind == MOTION_KIND {
+    if trained.takes_any_body() {
         return Ok(());
     }
     let hash = skeleton.hash();
@@ -279,7 +292,7 @@ pub(super) fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::
 
 /// The fields in which two documents differ, with both values. Program versions, imported file and lineage are not
 /// compared.
-pub(super) fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
+pub(crate) fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
     fn walk(recorded: &Value, asked: &Value, path: &str, found: &mut BTreeMap<String, [Value; 2]>) {
         let (Value::Object(before), Value::Object(after)) = (recorded, asked) else {
             if recorded != asked {

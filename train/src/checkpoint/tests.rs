@@ -6,12 +6,17 @@ use super::*;
 struct Settings {
     width: usize,
     rate: f64,
+    val_every: u64,
 }
 
 fn record(width: usize) -> RunRecord<Settings> {
     // The shortest decimal form of this number needs 17 digits.
     let rate = 0.1 + 0.2;
-    let settings = Settings { width, rate };
+    let settings = Settings {
+        width,
+        rate,
+        val_every: 6,
+    };
     RunRecord::new("test", "hash", &Skeleton::smplx_neutral(), settings)
 }
 
@@ -85,6 +90,49 @@ fn a_checkpoint_is_replaced_whole_and_survives_a_crash_between_renames() {
     let checkpoints = dir.path().join("checkpoint");
     fs::rename(checkpoints.join("last"), checkpoints.join(".last.old")).expect("renamed");
     assert_eq!(read(dir.path(), Slot::Last).expect("read"), Some(files(2)));
+}
+
+#[test]
+fn a_run_that_was_killed_before_its_last_checkpoint_is_extended_only_after_that_checkpoint() {
+    let (dir, run) = started();
+    let mut changed = record(4);
+    changed.config.val_every = 3;
+    let start = Start::from(dir.path());
+    let extend = Start {
+        extend: true,
+        ..start
+    };
+    drop(run);
+    for weights in [1, 2] {
+        let run = Run::open(start, &record(4)).expect("opened");
+        run.write(Slot::Best, &files(weights)).expect("written");
+        drop(run);
+        let error = Run::open(extend, &changed).expect_err("killed in between");
+        assert!(error.to_string().contains("without --extend"), "{error}");
+        let run = Run::open(start, &record(4)).expect("goes on");
+        run.write(Slot::Last, &files(weights)).expect("written");
+        drop(run);
+        Run::open(extend, &changed).expect("both are of one step");
+    }
+}
+
+#[test]
+fn an_imported_mdm_takes_any_body_and_a_trained_model_its_own() {
+    let own = Skeleton::smplx_neutral();
+    let tall = Skeleton::new("tall", std::array::from_fn(|joint| 1.1 * own.rest(joint)));
+    let check = |kind: &str, dataset_hash: &str| {
+        let record = RunRecord::new(kind, dataset_hash, &own, Value::Null);
+        let text = serde_json::to_string(&record).expect("serialises");
+        check_skeleton_of(&text, Path::new("run"), "the editor", &tall)
+    };
+    check(MDM_KIND, IMPORTED).expect("HumanML3D's features are those of one body");
+    for (kind, dataset_hash) in [(MDM_KIND, "ab"), ("motionrefit", IMPORTED)] {
+        let error = check(kind, dataset_hash).expect_err(kind).to_string();
+        assert!(
+            error.contains(own.name()) && error.contains("tall"),
+            "{error}"
+        );
+    }
 }
 
 #[test]

@@ -211,21 +211,19 @@ pub enum TextEncoder {
     Table,
 }
 
-/// Named settings.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Preset {
-    /// Settings of the paper.
-    Paper,
-    /// The released configuration.
-    Official,
-    /// A small model that trains in a few minutes on two processor cores.
-    #[default]
-    Tiny,
-}
-
-impl Preset {
-    pub(crate) const ALL: [Self; 3] = [Self::Paper, Self::Official, Self::Tiny];
+datasets_spec::named! {
+    /// Named settings.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Preset, named by as_str {
+        /// Settings of the paper.
+        Paper = "paper",
+        /// The released configuration.
+        Official = "official",
+        /// A small model that trains in a few minutes on two processor cores.
+        #[default]
+        Tiny = "tiny",
+    }
 }
 
 impl TrainConfig {

@@ -76,8 +76,9 @@ pub fn train_mld<'a>(
     let val = rows(corpus.val, "validation split of MLD")?;
     let autoencoder = &config.autoencoder;
     let report = autoencoder::train(start.run, autoencoder, [&train, &val], &corpus, session)?;
+    let num_short = (corpus.train.len() - train.len()) as u64;
     if !report.is_complete {
-        return Ok(report);
+        return Ok(report.without(num_short));
     }
     let autoencoder = Autoencoder::load(start.run, session.device)?;
     let seed = Seed(config.run.seed);
@@ -132,8 +133,7 @@ pub fn train_mld<'a>(
         loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
         validation: val_batches.collect::<Result<_, Error>>()?,
     };
-    let report = trainer::train(&task, &run, session)?;
-    Ok(report.without((corpus.train.len() - train.len()) as u64))
+    Ok(trainer::train(&task, &run, session)?.without(num_short))
 }
 
 /// The standard deviation of the latent vectors of clips: the square root of the mean variance of their elements.

@@ -84,17 +84,25 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         condition: dataset.condition().map(str::to_owned),
     };
     let triplets = run.join(TRIPLETS);
-    let (made, _) = recording::record(dataset.root(), &triplets, &settings, &context)?;
+    let (made, left_out) = recording::record(dataset.root(), &triplets, &settings, &context)?;
     let rows: Vec<TripletRow> = made.read(None)?;
     let instructions: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     let (triplets, instructions) = (rows.len(), instructions.len());
+    let short = match left_out {
+        0 => String::new(),
+        count => format!(", {count} masks or pairs too short and not used"),
+    };
     Ok(Trained {
         is_complete: true,
         summary: format!(
-            "{triplets} training targets with {instructions} instructions; in {}",
+            "{triplets} training targets with {instructions} instructions{short}; in {}",
             run.display()
         ),
-        document: serde_json::json!({ "triplets": triplets, "instructions": instructions }),
+        document: serde_json::json!({
+            "triplets": triplets,
+            "instructions": instructions,
+            "left_out": left_out,
+        }),
     })
 }
 

@@ -10,7 +10,7 @@ use datasets_spec::{Dataset, Seed, Split};
 use kinematics::normalise::Normalizer;
 
 use super::Streams;
-use crate::checkpoint::Start;
+use crate::checkpoint::{Start, differences};
 use crate::compose::ComposeRecord;
 use crate::config::TrainConfig;
 use crate::edit;
@@ -94,6 +94,32 @@ pub fn train_editor<'a>(
     };
     let num_short = streams.train.num_short() as u64;
     Ok(train_motionrefit(start, config, corpus, session)?.without(num_short))
+}
+
+/// The composer's settings in which recorded windows differ from `compose`, in whose place they are used: names, with
+/// both values where they are short. The length of a window is left out, because the network determines it. Empty if
+/// the windows do not state their settings, which a training refuses.
+///
+/// # Errors
+/// The windows cannot be opened, or state settings of another version.
+pub fn settings_replaced_by(windows: &Path, compose: &ComposeConfig) -> Result<Vec<String>, Error> {
+    let opened = Dataset::open_unverified(windows)?;
+    let Some(made) = settings_of(&opened).map_err(json_error(windows))? else {
+        return Ok(Vec::new());
+    };
+    let theirs = ComposeConfig {
+        window: compose.window,
+        ..made.config
+    };
+    let differences = differences(&document(compose), &document(&theirs)).into_iter();
+    let mut names: Vec<String> = differences
+        .map(|(name, [ours, theirs])| match name.split_once('.') {
+            Some((section, _)) => section.to_owned(),
+            None => format!("{name} {theirs} instead of {ours}"),
+        })
+        .collect();
+    names.dedup();
+    Ok(names)
 }
 
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {

@@ -308,13 +308,15 @@ fn variants_fact(config: &impl Serialize) -> (String, String) {
 /// The dataset of candidates, if it was made by this plan. Another dataset is never replaced, because people may have
 /// described its pairs.
 pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
-    match Dataset::open_unverified(out) {
-        Ok(done) if done.manifest().plan(MotionRow::TABLE) == plan => Ok(Some(Dataset::open(out)?)),
-        Ok(_) => Err(Error::Refused(format!(
+    match Dataset::held_in(out)? {
+        Some(held) if held.manifest().plan(MotionRow::TABLE) == plan => {
+            Ok(Some(Dataset::open(out)?))
+        }
+        Some(_) => Err(Error::Refused(format!(
             "{} holds another dataset; choose another folder",
             out.display()
         ))),
-        Err(_) => Ok(None),
+        None => Ok(None),
     }
 }
 

@@ -185,7 +185,8 @@ impl TextEncoderSource {
         let stored = stored(run)?.filter(|table| table.check_texts(texts.iter().copied()).is_ok());
         let loaded = match (stored, &self.given) {
             (Some(table), None) => return Ok(table),
-            (Some(table), Some(_)) => {
+            (Some(table), Some(given)) => {
+                std::fs::metadata(given).map_err(Error::io("read", given))?;
                 // The given encoder may be for another model of the same command.
                 let Ok(loaded) = load() else {
                     return Ok(table);

@@ -149,7 +149,10 @@ fn the_id_follows_from_the_content_alone() {
 
 #[test]
 fn pairs_of_motionfix_are_asked_about_as_they_are() {
-    let (motions, _) = fixture::rows(Split::Test, CLIPS);
+    let (mut motions, _) = fixture::rows(Split::Test, CLIPS);
+    // Also pairs that are shorter than a window.
+    let short = fixture::wandering("short", fixture::SPAN - 1);
+    motions[0] = fixture::motion_row("clip0", Split::Test, &short);
     let mut pair = fixture::pair_row("fine-grained", Split::Test, 0, 8);
     pair.source = "motionfix".to_owned();
     let library = Arc::new(fixture::library_of(Split::Test, &motions, &[], &[pair]));
@@ -158,6 +161,8 @@ fn pairs_of_motionfix_are_asked_about_as_they_are() {
         panic!("{} items of one pair", items.len())
     };
     assert_eq!(item.task, "motionfix");
+    let texts = library.instructions(&ComposeConfig::default());
+    assert!(texts.contains(&item.instruction));
     assert!(item.donor_ids.is_empty() && item.hard_joints.is_empty());
     let motion = |row: usize| motions[row].motion().expect("valid");
     assert_eq!(item.source().expect("valid"), motion(0));
@@ -175,6 +180,28 @@ fn pairs_of_motionfix_are_asked_about_as_they_are() {
         error.to_string(),
         "split test has no mask or pair for items of task style (`stance pairs DATASET` makes pairs from labels)"
     );
+}
+
+#[test]
+fn a_pair_that_takes_no_donor_needs_no_third_clip() {
+    let (motions, _) = fixture::rows(Split::Test, CLIPS);
+    let pair = fixture::pair_row("style", Split::Test, 7, 8);
+    let library = fixture::library_of(Split::Test, &motions[7..], &[], &[pair]);
+    let drawn = |undonored_ratio| {
+        let config = ItemConfig {
+            compose: fixture::config(|config| config.undonored_ratio = undonored_ratio),
+            ..ItemConfig::default()
+        };
+        let shown = Shown::default();
+        let drawn = draw_items(&Arc::new(library.clone()), &config, &shown, Seed(3))?;
+        drawn.rows(0..1)
+    };
+    let items = drawn(Some(1.0)).expect("a pair as captured");
+    assert!(items[0].donor_ids.is_empty());
+    for undonored_ratio in [None, Some(0.5)] {
+        let error = drawn(undonored_ratio).expect_err("no donor").to_string();
+        assert!(error.starts_with("motion clip8 has no partner"), "{error}");
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::ops::{Range, RangeInclusive};
 
+use datasets_spec::sides::mirrored;
 use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
 use rand::RngExt;
 
@@ -138,6 +139,23 @@ impl Library {
         }
     }
 
+    /// Every text that describes an edit of the library: with and without a donor, and of every kind and length, because
+    /// pairs of MotionFix are test questions even if they are shorter than a window.
+    pub fn instructions(&self, config: &ComposeConfig) -> BTreeSet<String> {
+        let mut texts = BTreeSet::new();
+        for subject in self.all_subjects() {
+            let halves = self.edit(subject).halves.iter().copied().map(Some);
+            for half in halves.chain([None]) {
+                texts.extend(self.wordings(subject, half, config));
+            }
+        }
+        if config.mirrored_ratio > 0.0 {
+            let images: Vec<String> = texts.iter().map(|text| mirrored(text)).collect();
+            texts.extend(images);
+        }
+        texts
+    }
+
     pub(crate) fn wordings(
         &self,
         subject: Subject,
@@ -159,8 +177,17 @@ impl Library {
         self.may_pair(clip, source) && self.may_pair(clip, target)
     }
 
-    /// Draws a partner from the base and everything else of an edit. At least one clip of the base
-    /// must be a possible partner.
+    /// Whether any clip of the base can be a partner.
+    pub(crate) fn has_partner(&self, base: &[usize], subject: Subject) -> bool {
+        base.iter().any(|&clip| self.may_meet(clip, subject))
+    }
+
+    /// Whether a subject is used with a partner, at least sometimes.
+    pub(crate) fn takes_partner(&self, subject: Subject, config: &ComposeConfig) -> bool {
+        self.undonored_ratio(subject, config) < 1.0
+    }
+
+    /// Draws a partner from the base and everything else of an edit. Only a subject that takes no partner may have none.
     pub(crate) fn draw_pairing(
         &self,
         base: &[usize],
@@ -168,19 +195,20 @@ impl Library {
         config: &ComposeConfig,
         rng: &mut Rng,
     ) -> Pairing {
-        let partner = loop {
+        let draw = || loop {
             let partner = base[rng.random_range(0..base.len())];
             if self.may_meet(partner, subject) {
                 break partner;
             }
         };
+        let partner = self.has_partner(base, subject).then(draw);
         self.paired(partner, subject, config, rng)
     }
 
     /// Draws everything but the partner.
     pub(crate) fn paired(
         &self,
-        partner: usize,
+        partner: Option<usize>,
         subject: Subject,
         config: &ComposeConfig,
         rng: &mut Rng,
@@ -204,10 +232,11 @@ impl Library {
         let target_frames = frames_of(*target);
         match subject {
             Subject::Annotation(_) => {
-                let crop = crop_of(frames_of(partner), target_frames, frames, rng);
+                let source = partner.expect("a semantic edit has a source");
+                let crop = crop_of(frames_of(source), target_frames, frames, rng);
                 Pairing {
                     subject,
-                    partner: Some(partner),
+                    partner,
                     half: None,
                     alpha: config.alpha.draw(rng),
                     wording: rng.random(),
@@ -221,7 +250,9 @@ impl Library {
                 let half = halves[rng.random_range(0..halves.len())];
                 // A whole-clip triplet lasts as long as the shortest of the three.
                 let whole = 0..crop.num_frames;
-                let mut donor = crop_of(frames_of(partner), crop.num_frames, &whole, rng);
+                let mut donor = partner.map_or(Crop::whole(crop.num_frames), |partner| {
+                    crop_of(frames_of(partner), crop.num_frames, &whole, rng)
+                });
                 if plain {
                     donor = Crop::whole(crop.num_frames);
                 } else if config.fixed_pairs {
@@ -232,7 +263,7 @@ impl Library {
                 }
                 Pairing {
                     subject,
-                    partner: (!plain).then_some(partner),
+                    partner: partner.filter(|_| !plain),
                     half: (!plain).then_some(half),
                     alpha: config.alpha.draw(rng),
                     wording: rng.random(),
@@ -281,13 +312,13 @@ impl Library {
     }
 
     /// The best partners in the base: clips of another action that are as long as `preferred` or the
-    /// target, else clips of another action, else any.
+    /// target, else clips of another action, else any. Empty if there is none.
     pub(crate) fn partners(
         &self,
         base: &[usize],
         subject: Subject,
         preferred: usize,
-    ) -> Result<Vec<usize>, Error> {
+    ) -> Vec<usize> {
         let target = &self.clips[self.edit(subject).target];
         let mut other = base.to_vec();
         other.retain(|&clip| self.may_meet(clip, subject));
@@ -297,10 +328,9 @@ impl Library {
         let needed = preferred.min(self.frames_of(subject));
         let mut long = other_action.clone();
         long.retain(|&clip| self.clips[clip].len() >= needed);
-        [long, other_action, other]
-            .into_iter()
-            .find(|partners| !partners.is_empty())
-            .ok_or_else(|| self.no_partner(subject))
+        let mut found = [long, other_action, other].into_iter();
+        let found = found.find(|partners| !partners.is_empty());
+        found.unwrap_or_default()
     }
 
     /// The error about a subject that no clip of the base can be blended with.

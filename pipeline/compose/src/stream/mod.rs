@@ -124,7 +124,7 @@ impl Stream {
         let mut first_items = Vec::new();
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
-            if !base.iter().any(|&clip| library.may_meet(clip, subject)) {
+            if library.takes_partner(subject, &config) && !library.has_partner(&base, subject) {
                 return Err(library.no_partner(subject));
             }
             let fixed = config.fixed_pairs.then(|| {

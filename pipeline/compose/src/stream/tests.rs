@@ -295,6 +295,27 @@ fn pairs_of_motionfix_stay_as_captured_unless_a_ratio_is_given() {
 }
 
 #[test]
+fn a_pair_that_takes_no_donor_is_composed_without_partners() {
+    let (motions, _) = fixture::rows(Split::Train, CLIPS);
+    let pair = fixture::pair_row("style", Split::Train, 7, 8);
+    let library = fixture::library_of(Split::Train, &motions[7..], &[], &[pair]);
+    let stream = |fixed_pairs, undonored_ratio| {
+        let config = fixture::config(|config| {
+            config.fixed_pairs = fixed_pairs;
+            config.undonored_ratio = Some(undonored_ratio);
+        });
+        fixture::stream(library.clone(), config, 5)
+    };
+    for fixed_pairs in [false, true] {
+        let stream = stream(fixed_pairs, 1.0).expect("a stream");
+        assert!(pairings(&stream, 3).all(|pairing| pairing.partner.is_none()));
+        assert_ne!(epoch(&stream, 0).original, epoch(&stream, 0).edited);
+    }
+    let error = stream(false, 0.5).expect_err("no donor").to_string();
+    assert!(error.starts_with("motion clip8 has no partner"), "{error}");
+}
+
+#[test]
 fn paraphrases_are_drawn_and_templates_filled_in() {
     let stream = pair_stream(6, |config| {
         config.kinds = vec![EditKind::Style];
