@@ -486,7 +486,8 @@ impl Browser {
         // The first size shows how much of the window is not the page. It can't be read from the size before: below
         // the smallest width of a window, Chromium reports a larger window than it draws.
         for _ in 0..2 {
-            wait(self.client.set_window_size(window[0], window[1])).expect("the window has another size");
+            wait(self.client.set_window_size(window[0], window[1]))
+                .expect("the window has another size");
             self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }");
             let page = self.value("[innerWidth, innerHeight]");
             let drawn = |at: usize| page[at].as_u64().unwrap_or(0) as u32;
