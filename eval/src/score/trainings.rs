@@ -34,8 +34,8 @@ pub fn over_trainings(trainings: &[Vec<ScoreRow>]) -> Vec<ScoreRow> {
         .map(|row| {
             let of_trainings = &values[&[&*row.task, &*row.system, &*row.metric]];
             let Interval { mean, ci95 } = Interval::over_trainings(of_trainings);
-            // Without the variance over items, the interval would be too narrow. A metric that few targets have a value
-            // of has an interval in no training.
+            // Without the variance over items, the interval would be too narrow. If few targets have a value of a metric,
+            // no training gives it an interval.
             let has_variance = !Protocol::is_drawn_from_targets(&row.protocol)
                 || of_trainings.iter().any(|value| value.ci95.is_some());
             let is_known = row.targets == 0 || (row.targets >= MIN_TARGETS && has_variance);

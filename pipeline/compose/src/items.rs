@@ -472,7 +472,7 @@ impl Drawer<'_> {
         }))
     }
 
-    /// Novelty of an item of this subject. `partner` is the clip that the edit of a mask is applied to.
+    /// Novelty of an item of this subject. The partner of a mask is the source of the item; that of a pair does not matter.
     fn novelty(&self, subject: Subject, partner: Option<usize>) -> Option<Novelty> {
         let library = &self.library;
         let [before, after] = library

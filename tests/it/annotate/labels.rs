@@ -161,7 +161,7 @@ fn labels_that_a_project_only_imported_stay_as_the_dataset_has_them() {
         assert_eq!(export(store)["counts"]["labels_left_as_they_are"], 2);
         assert_eq!(rows_of::<MaskRow>(&dataset), stated);
     }
-    // Neither brings back what was corrected since, and a later import takes the correction.
+    // The text is corrected in the dataset. No export undoes that, and the next import takes the corrected text.
     let corrected = judge("cat", &[(first.id.as_str(), "The person is lying down.")]);
     assert_ne!(corrected, stated);
     for store in stores {

@@ -101,7 +101,7 @@ pub fn train_editor<'a>(
 /// the windows do not state their settings, which a training refuses.
 ///
 /// # Errors
-/// The windows cannot be opened, or state settings of another version.
+/// The windows cannot be opened, or another version wrote their settings.
 pub fn settings_replaced_by(windows: &Path, compose: &ComposeConfig) -> Result<Vec<String>, Error> {
     let opened = Dataset::open_unverified(windows)?;
     let Some(made) = settings_of(&opened).map_err(json_error(windows))? else {

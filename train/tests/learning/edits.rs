@@ -136,7 +136,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     // The third window is edited: it adds frames 30 to 43. Earlier frames differ only by f32 rounding.
     assert!(away[..30].iter().all(|&away| away < 1e-5), "{away:?}");
     assert!(away[30..44].iter().any(|&away| away > 0.05), "{away:?}");
-    // Some frames after the edit, the body has its original shape again, wherever the edit ended.
+    // A few frames after the edit, the arm has its original length again.
     let arm = |points: &KeypointFrame| points[20].distance(points[21]);
     for (frame, points) in edited[0].iter().enumerate().skip(50) {
         let (found, was) = (arm(points), arm(&original.points[2 * frame]));

@@ -42,7 +42,7 @@ fn a_run_killed_between_two_checkpoints_of_a_step_writes_both_again() {
     train(whole.path(), &config, &source);
     for slot in ["best", "epoch-1", "last"] {
         let killed = tempfile::tempdir().expect("a folder");
-        // A file where a checkpoint is written ends the run there.
+        // A file stands where a checkpoint would be written, so the run ends there.
         let checkpoints = killed.path().join("checkpoint");
         let obstacle = checkpoints.join(format!(".{slot}.new"));
         std::fs::create_dir(&checkpoints).expect("a folder");

@@ -178,7 +178,7 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     sound(&site);
     // The store imports the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
-    // A new store gives the pair the same key, with the whole answer.
+    // A new store of the dataset has the pair under the same key, with the whole answer.
     let other = fresh_store(&site, "other.sqlite");
     let whole_answer = BTreeMap::from([(id.to_owned(), pair(Verdict::Keep))]);
     assert_eq!(answers(&other), whole_answer);

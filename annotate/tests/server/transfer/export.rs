@@ -130,7 +130,7 @@ fn an_export_is_one_point_in_time_and_its_log_names_nobody() {
     assert_eq!(frozen.last_seq().expect("a place"), seq);
     let refused = frozen.import(None, vec![bare_task(1, TaskKind::Pair)], START);
     assert!(refused.is_err());
-    // Every unusable pair is in both tables, even while more are added.
+    // An export lists the same unusable pairs in both tables, even while more are added.
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| {

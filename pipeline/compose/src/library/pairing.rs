@@ -182,7 +182,7 @@ impl Library {
         base.iter().any(|&clip| self.may_meet(clip, subject))
     }
 
-    /// Whether a subject is used with a partner, at least sometimes.
+    /// Whether any triplet of a subject is blended with a partner.
     pub(crate) fn takes_partner(&self, subject: Subject, config: &ComposeConfig) -> bool {
         self.undonored_ratio(subject, config) < 1.0
     }
